@@ -92,7 +92,7 @@ def _virtual_camera() -> Iterator[Figure]:
             lambda send, overrun: VirtualCamera(
                 system,
                 scene.sun,
-                lambda system: stills(scene, system, fidelity=quick, rendered=light),
+                lambda system: stills(scene, system, fidelity=quick, lit=light),
                 clock=clock,
                 send=send,
             ),

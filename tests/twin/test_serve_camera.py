@@ -175,7 +175,7 @@ def talk(world):
     camera = VirtualCamera(
         system,
         scene.sun,
-        lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
+        lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, lit=light),
         clock=clock,
         send=lambda data: sent.extend(data) is None,
     )

@@ -35,9 +35,7 @@ def quick_world():
 
 def direct(world, wanted: SpiSettings, sets: int):
     scene, system, light = world
-    records = stills(
-        scene, configure_system(system, wanted), seed=SEED, fidelity=QUICK, rendered=light
-    )
+    records = stills(scene, configure_system(system, wanted), seed=SEED, fidelity=QUICK, lit=light)
     return list(islice(records, sets))
 
 
@@ -51,7 +49,7 @@ def served(world, line=None, *, pace="fast", faults=None, seed=0):
         lambda send, overrun: VirtualCamera(
             system,
             scene.sun,
-            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, rendered=light),
+            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, lit=light),
             clock=clock,
             send=send,
             overrun=overrun,

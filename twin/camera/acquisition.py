@@ -15,9 +15,9 @@ from twin.camera.chain import Chain
 from twin.camera.distortion import distortions
 from twin.camera.frozen import frozen_warnings
 from twin.camera.illumination import amplifier_residue, dark_share, residual_share
-from twin.camera.light import render
+from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
-from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
+from twin.camera.moving_frame import FrameLight
 from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
@@ -189,23 +189,32 @@ def capture(
     """
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     knobs = knobs_of(fidelity)
-    world = world_in_motion(scene, system, knobs)
-    seen = scene
-    if world is not None:
-        seen, mesh_scene = scene.after(world.duration_s / 2), None
-    rendered = render(
-        seen, system, fidelity=knobs, seed=light_seed, mesh_scene=mesh_scene, stage=stage
+    lit = lit_frame(
+        scene,
+        system,
+        fidelity=knobs,
+        seed=light_seed,
+        mesh_scene=mesh_scene,
+        stage=stage,
+        detector=detector,
     )
-    frame = None
-    if world is not None:
-        with stage("motion"):
-            chain = Chain.of(system, scene.sun, detector)
-            frame = frame_light(world, chain, rendered, knobs, light_seed.spawn(2))
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)
-        return measure(
-            seen, system, rendered, rng=rng, noise=knobs.noise, detector=detector, frame=frame
-        )
+        return measure_lit(lit, system, rng=rng, noise=knobs.noise, detector=detector)
+
+
+def measure_lit(
+    lit: LitFrame,
+    system: System,
+    *,
+    rng: np.random.Generator,
+    noise: Noise = "full",
+    detector: Detector | None = None,
+) -> Capture:
+    """The light of a frame to counts, as `measure`."""
+    return measure(
+        lit.scene, system, lit.rendered, rng=rng, noise=noise, detector=detector, frame=lit.motion
+    )
 
 
 def measure(

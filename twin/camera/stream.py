@@ -12,9 +12,9 @@ import numpy as np
 from hardware.records import SpiRecord
 from twin.camera.acquisition import capture
 from twin.camera.chain import Chain
-from twin.camera.light import render, render_light
+from twin.camera.light import render_light
+from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.mounting import check_rig, light_problem
-from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.optics.paths import TracingQuality
@@ -77,9 +77,10 @@ def stills(
     *,
     seed: int = 0,
     fidelity: Accuracy | None = None,
-    rendered: RenderedLight | None = None,
+    lit: LitFrame | None = None,
 ) -> Iterator[SpiRecord]:
-    """Endless records of a resting rig: light is rendered once, noise is drawn for each record.
+    """Endless records of one frame: light is rendered once, noise is drawn for each record. Where
+    things move each is of the same time; `MovingFrames` are those that follow each other.
 
     Parameters
     ----------
@@ -87,25 +88,29 @@ def stills(
         As `twin.camera.acquisition.capture` takes them.
     seed
         The first record is that of `capture` with the same seed.
-    rendered
+    lit
         `still_light` of the same scene and seed, if already computed.
     """
     knobs = knobs_of(fidelity)
     _, noise_seed = np.random.SeedSequence(seed).spawn(2)
     chain, rng = Chain.of(system, scene.sun), np.random.default_rng(noise_seed)
-    power = chain.powers(rendered or still_light(scene, system, seed=seed, fidelity=knobs))
-    mean_w = chain.mean_signal(power)
+    lit = lit or still_light(scene, system, seed=seed, fidelity=knobs)
+    power, motion = chain.powers(lit.rendered), lit.motion
+    mean_w, sun_w = (motion.signal_w, motion.sun_w) if motion else (None, None)
+    mean_w = chain.mean_signal(power) if mean_w is None else mean_w
     for number in itertools.count():
-        _, counts, flags = chain.measure_frame(power, rng=rng, noise=knobs.noise, mean_w=mean_w)
+        _, counts, flags = chain.measure_frame(
+            power, rng=rng, noise=knobs.noise, mean_w=mean_w, sun_w=sun_w
+        )
         yield chain.record(scene.rig.pose, counts, flags, number)
 
 
 def still_light(
     scene: Scene, system: System, *, seed: int = 0, fidelity: Accuracy | None = None
-) -> RenderedLight:
+) -> LitFrame:
     """Light of `stills`: that of every system with the same emitter, optics and detector."""
     light_seed, _ = np.random.SeedSequence(seed).spawn(2)
-    return render(scene, system, fidelity=knobs_of(fidelity), seed=light_seed)
+    return lit_frame(scene, system, fidelity=knobs_of(fidelity), seed=light_seed)
 
 
 def moves(scene: Scene) -> bool:

@@ -52,14 +52,15 @@ WithinOption = Annotated[
 MotionOption = Annotated[
     str,
     typer.Option(
-        help="Error between instants within a camera's frame, over an exposure's noise; `none`: "
-        "nothing moves during a frame."
+        help="Error between instants within a camera's frame, over an exposure's noise, where the "
+        "accuracy asked for has none; `none`: nothing moves during a frame."
     ),
 ]
 
 
 def with_motion(knobs: "Fidelity", tolerance: str) -> "Fidelity":
-    """The knobs with a tolerance of motion within a frame, where they have none of their own.
+    """The knobs with a tolerance of motion within a frame, where they have none of their own; with
+    ``none`` without any, and with ``own`` as they are.
 
     Raises InputError for text that is none.
     """
@@ -68,7 +69,9 @@ def with_motion(knobs: "Fidelity", tolerance: str) -> "Fidelity":
     from hardware.units import quantity
     from twin.errors import InputError
 
-    if tolerance == "none" or knobs.motion_tolerance is not None:
+    if tolerance == "none":
+        return replace(knobs, motion_tolerance=None)
+    if tolerance == "own" or knobs.motion_tolerance is not None:
         return knobs
     try:
         return replace(knobs, motion_tolerance=quantity(tolerance, None, bare=True))

@@ -44,9 +44,10 @@ class LightFidelity(Knobs):
     motion_tolerance
         Error of an exposure's light by interpolation between instants, where something moves during
         a frame, root mean square over patterns, as a share of the exposure's noise: light is
-        rendered at as many instants as that takes, each cell at its own. None, which
-        `Tolerance` leaves it at: nothing moves during a frame, with a warning where motion may
-        change counts by more than their noise.
+        rendered at as many instants as that takes, each cell at its own, and at none where motion
+        changes counts by less. `Tolerance` and the presets set it, but for `draft`. None: nothing
+        moves during a frame, with a warning where motion may change counts by more than their
+        noise.
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.

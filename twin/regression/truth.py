@@ -24,8 +24,10 @@ class Truths:
     def light(
         self, scene: Scene, system: System, fidelity: Accuracy | None = None
     ) -> RenderedLight:
-        """Light of a scene for a system, as `measure` takes it."""
-        knobs = knobs_of(fidelity)
+        """Light of a scene for a system, as `measure` takes it: of the world as it stands, since
+        images of a moving one have no truth to compare with.
+        """
+        knobs = replace(knobs_of(fidelity), motion_tolerance=None)
         return self._store.get(
             _key("light", scene, system, knobs),
             lambda: render(scene, system, fidelity=knobs, seed=np.random.SeedSequence(0)),

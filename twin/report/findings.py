@@ -62,7 +62,7 @@ def camera_finding(evaluation: Evaluation) -> Finding:
     return Finding(
         evaluation.system.name,
         evaluation.system.description,
-        "good" if verdict.snr_median >= 1 else "limited",
+        "good" if verdict.snr_median >= 1 and not verdict.not_within else "limited",
         verdict.short,
         (
             ("What is seen", f"{verdict}; {evaluation.best}"),

@@ -171,7 +171,7 @@ def serve_camera(
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
         def records(asked: System) -> Iterator[SpiRecord]:
-            return stills(scene, asked, seed=seed, fidelity=fidelity, rendered=light)
+            return stills(scene, asked, seed=seed, fidelity=fidelity, lit=light)
 
     clock = DeviceClock(pace, fault_chances.drift)
     line: Line = Terminal() if address is None else TcpPort(address.host, address.port)

@@ -94,7 +94,7 @@ def _camera(
     """Records of a camera: its first frame is computed before this returns."""
     if not moves(scene):
         light = still_light(scene, system, seed=seed, fidelity=fidelity)
-        return stills(scene, system, seed=seed, fidelity=fidelity, rendered=light)
+        return stills(scene, system, seed=seed, fidelity=fidelity, lit=light)
     frames = MovingFrames(scene, system, seed, fidelity)
     return chain([frames(0)], map(frames, count(1)))
 

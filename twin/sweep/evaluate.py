@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.process import Processing
-from twin.camera.acquisition import Capture, measure
+from twin.camera.acquisition import Capture, capture, measure
+from twin.camera.moving_frame import world_in_motion
 from twin.errors import InputError
 from twin.fidelity import RadarFidelity
 from twin.radar.acquisition import radar_capture
@@ -168,6 +169,9 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
 
     def measured() -> Capture:
         rng = np.random.default_rng(np.random.SeedSequence(made.seed).spawn(2)[1])
+        if world_in_motion(made.scene, made.system, made.fidelity) is not None:
+            # Of each exposure's own time, for this sensor: shared with no other point.
+            return capture(made.scene, made.system, seed=made.seed, fidelity=made.fidelity)
         light = light_of(study, index, made, inputs)
         return measure(made.scene, made.system, light, rng=rng, noise=made.fidelity.noise)
 

@@ -1,0 +1,58 @@
+"""Light of one frame, still or in motion: what every capture, stream and sweep measures."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twin.camera.chain import Chain
+from twin.camera.light import render
+from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
+from twin.camera.rendered import RenderedLight
+from twin.detector import Detector
+from twin.fidelity import Fidelity
+from twin.progress import OpenStage, silently
+from twin.scene import Scene
+from twin.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class LitFrame:
+    """Light of a frame, as `measure` takes it.
+
+    ``scene`` and ``rendered``: of the frame's middle where things move in it, and ``motion`` is
+    then the light of each exposure; of the scene as it is given where nothing moves, or is not to.
+    """
+
+    scene: Scene
+    rendered: RenderedLight
+    motion: FrameLight | None = None
+
+
+def lit_frame(
+    scene: Scene,
+    system: System,
+    *,
+    fidelity: Fidelity,
+    seed: np.random.SeedSequence,
+    mesh_scene: Any = None,
+    stage: OpenStage = silently,
+    detector: Detector | None = None,
+) -> LitFrame:
+    """Light of a frame that begins with a scene; arguments as `twin.camera.capture` takes them.
+
+    Raises InputError for a trajectory that ends before the frame does.
+    """
+    world, seen = world_in_motion(scene, system, fidelity), scene
+    if world is not None:
+        seen, mesh_scene = scene.after(world.duration_s / 2), None
+    rendered = render(
+        seen, system, fidelity=fidelity, seed=seed, mesh_scene=mesh_scene, stage=stage
+    )
+    if world is None:
+        return LitFrame(scene, rendered)
+    with stage("motion"):
+        chain = Chain.of(system, scene.sun, detector)
+        return LitFrame(
+            seen, rendered, frame_light(world, chain, rendered, fidelity, seed.spawn(2))
+        )
