@@ -444,7 +444,7 @@ IDENTITY = RigidTransform.identity()
 # -- other systems --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["line", "time of flight", "fog"])
+@pytest.mark.parametrize("kind", ["line", "time of flight", "fog", "scan"])
 def test_other_systems_see_what_moves_too(
     kind: str, other_systems: Callable[[str], System]
 ) -> None:
@@ -472,6 +472,11 @@ def other_systems(tmp_path: Path) -> Callable[[str], System]:
         "n_patterns = 64\n[weather]\nvisibility_m = 200.0\nsingle_scattering_albedo = 0.95\n"
         "asymmetry = 0.85\n",
     }
+
+    texts["scan"] = (
+        'base = "lidar-scan"\n[emitter]\nrows = 8\ncolumns = 8\n[acquisition]\n'
+        "n_patterns = 64\n"
+    )
 
     def made(kind: str) -> System:
         (tmp_path / "s.toml").write_text(texts[kind])

@@ -121,30 +121,34 @@ def render_light(
     seeds: Sequence[np.random.SeedSequence],
     *,
     sun_quality: TracingQuality | None = None,
+    sun_problem: LightProblem | None = None,
     stage: OpenStage = silently,
 ) -> RenderedLight:
     """Light of emitter and sun, drawn from two seeds; air needs the truth's depth.
 
     ``chain``: of the system; to its noise a tolerance of the light refers. ``sun_quality``:
-    settings of the path tracer for the sun; default: those of ``fidelity``.
+    settings of the path tracer for the sun; default: those of ``fidelity``. ``sun_problem``: in
+    place of the problem, where the parts of the sun's light have times of their own.
     """
     system = chain.system
     quality, sun_quality = (
         where_air_scatters(problem.air, truth.depth_m, q)
         for q in (fidelity.quality, sun_quality or fidelity.quality)
     )
-    problem = with_near_pupil(problem, system, truth.depth_m)
+    problem, sun_problem = (
+        with_near_pupil(each, system, truth.depth_m) for each in (problem, sun_problem or problem)
+    )
     first, second = (int(seed.generate_state(1)[0]) for seed in seeds)
     with stage("sun"):
         rendered = RenderedLight(
             _no_light(system), _no_sun(system), truth, problem.emitter, problem.detector
         )
         if fidelity.has_light_tolerance:
-            rendered = with_sun_within(rendered, problem, chain, fidelity, quality, second)
+            rendered = with_sun_within(rendered, sun_problem, chain, fidelity, quality, second)
         else:
-            sun = sun_light(problem, sun_shape(system), quality=sun_quality, seed=second)
+            sun = sun_light(sun_problem, sun_shape(system), quality=sun_quality, seed=second)
             rendered = replace(rendered, sun=sun.total, sun_error=sun.standard_error)
-        direct = direct_sunlight(problem, rendered.sun.shape)
+        direct = direct_sunlight(sun_problem, rendered.sun.shape)
         rendered = replace(rendered, sun=rendered.sun + direct)
         if problem.air:
             airlight = airlight_of(problem, rendered.sun.shape)

@@ -22,6 +22,7 @@ from twin.camera.motion import WorldInMotion
 from twin.camera.mounting import light_problem, with_near_pupil
 from twin.camera.permitted_error import PermittedError
 from twin.camera.rendered import RenderedLight
+from twin.camera.scanned_frame import TIMES, scanned_light
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.optics.adaptive import LEFT_OUT
@@ -103,8 +104,15 @@ def frame_light(
         return FrameLight(None, None, scene.rig.pose, decision)
     problem = light_problem(scene, system, world)
     exposures = Exposures.of(system)
+    if system.optics.is_scanned and problem.air is None:
+        signal_w, sun_w = scanned_light(world, chain, problem, fidelity, seeds)
+        # Of a mean of as many times, where light has a kink between two of them.
+        off = change.within(exposures.integration_s) / (8 * TIMES**2)
+        effect = f"motion within a frame, each cell at {TIMES} times of its own"
+        decision = decided(effect, off, taken=True)
+        return FrameLight(signal_w, sun_w, scene.rig.pose, decision)
     one_bucket = system.n_detectors == 1 and not system.time_of_flight
-    if one_bucket and problem.air is None and not system.optics.is_scanned:
+    if one_bucket and problem.air is None:
         light = _by_cell(world, chain, problem, rendered, fidelity, seeds, change)
     else:
         light = _by_render(world, chain, fidelity, seeds, change)

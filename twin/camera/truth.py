@@ -38,9 +38,18 @@ def render_truth(scene: Any, camera: Device, shape: tuple[int, int]) -> Truth:
     )
 
 
-def depths(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Depth in the middle of each cell of a camera, m, infinite where there is nothing."""
+def depths(
+    scene: Any,
+    camera: Device,
+    shape: tuple[int, int],
+    instants: NDArray[np.int64] | None = None,
+) -> NDArray[np.float64]:
+    """Depth in the middle of each cell of a camera, m, infinite where there is nothing;
+    ``instants`` (n_cells,): of a scene that moves, that of each cell.
+    """
     ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
+    if instants is not None:
+        ray.time = mitsuba().Float(instants.astype(np.float32))
     hit = scene.ray_intersect(ray)
     is_hit = hit.is_valid()
     dr.eval(is_hit, hit.t, cos)  # in one go, else rays are traced for each

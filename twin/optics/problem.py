@@ -37,6 +37,8 @@ class LightProblem:
         meshes' vertices: where details may be that paths miss.
     bodies : function, optional
         Gives the meshes as `indirect_bound` takes them.
+    instants
+        Of a scene that moves: of each cell from which paths start, as many instants of its own.
     """
 
     scene: Any
@@ -46,6 +48,7 @@ class LightProblem:
     air: Air | None = None
     corners: Callable[[], tuple[Array, Array]] | None = None
     bodies: Callable[[], Sequence[Body]] | None = None
+    instants: int | None = None
 
     def moved(self, rotation: Array, shift_m: Array) -> "LightProblem":
         """The problem with both devices after a rigid motion, as `Device.moved`."""
@@ -55,7 +58,7 @@ class LightProblem:
     def from_emitter(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from the cells of the emitter, (rows, columns), to the detector's pupil."""
         cells, pupil = CellGrid(self.emitter, *shape), DeviceLight(self.detector, "pupil")
-        return Tracer(self.scene, cells, "emitter", pupil, self.air, quality, seed)
+        return Tracer(self.scene, cells, "emitter", pupil, self.air, quality, seed, self.instants)
 
     def from_detector(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from the pixels of the detector, (rows, columns), to the emitter."""
@@ -65,7 +68,7 @@ class LightProblem:
     def from_sun(self, shape: tuple[int, int], quality: TracingQuality, seed: int) -> Tracer:
         """Paths from parts of the detector's field, (rows, columns), to the sun."""
         parts = CellGrid(self.detector, *shape)
-        return Tracer(self.scene, parts, "pupil", self.sun, self.air, quality, seed)
+        return Tracer(self.scene, parts, "pupil", self.sun, self.air, quality, seed, self.instants)
 
     def largest_indirect(self, tracer: Tracer) -> float:
         """Bound of the light of a tracer's cells from the second surface on; infinite where none is

@@ -40,6 +40,14 @@ class RowRays:
         """Number of rays."""
         return (self.last - self.first) * columns * self.samples
 
+    def cells(self, columns: int) -> Any:
+        """Cell of each ray."""
+        mi = mitsuba()
+        first = dr.opaque(mi.UInt32, self.first * columns)
+        return (
+            dr.arange(mi.UInt32, self.count(columns)) // dr.opaque(mi.UInt32, self.samples) + first
+        )
+
     def instants(self) -> Any:
         """Number of each ray's instant; None where all rays are of one."""
         return None
@@ -71,7 +79,7 @@ class CellRays:
 
     Parameters
     ----------
-    cells, first, samples
+    cell, first, samples
         Indices of the cells, row by row; number in the sequence of each cell's first ray; and rays
         of a set; (n,) each.
     sets
@@ -85,7 +93,7 @@ class CellRays:
         has the same random numbers at all instants.
     """
 
-    cells: NDArray[np.integer]
+    cell: NDArray[np.integer]
     first: NDArray[np.integer]
     samples: NDArray[np.integer]
     sets: int
@@ -102,6 +110,10 @@ class CellRays:
     def count(self, columns: int) -> int:
         """Number of rays."""
         return int(self.samples.sum()) * self.sets
+
+    def cells(self, columns: int) -> Any:
+        """Cell of each ray of a grid of so many columns."""
+        return self._own_set(self._owner_and_number[0])[0]
 
     def instants(self) -> Any:
         """Number of each ray's instant; None where all rays are of one."""
@@ -138,7 +150,7 @@ class CellRays:
     def _own_set(self, owner: Any) -> tuple[Any, Any]:
         """Cell of a set, and its number among those of all cells of the grid."""
         mi = mitsuba()
-        place = dr.gather(mi.UInt32, mi.UInt32(self.cells.astype(np.uint32)), owner // self.sets)
+        place = dr.gather(mi.UInt32, mi.UInt32(self.cell.astype(np.uint32)), owner // self.sets)
         return place, place * self.sets + owner % self.sets
 
 

@@ -47,7 +47,11 @@ class Bounce(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tracer:
-    """Paths from the cells of ``start`` to a light; all random numbers follow from ``seed``."""
+    """Paths from the cells of ``start`` to a light; all random numbers follow from ``seed``.
+
+    ``instants``: of a scene that moves, as many for each cell, one after another; each path has one
+    of those of its cell, at random. None: rays say themselves of which instant they are.
+    """
 
     scene: Any
     start: CellGrid
@@ -56,6 +60,7 @@ class Tracer:
     air: Air | None
     quality: TracingQuality
     seed: int
+    instants: int | None = None
 
     @property
     def scatters(self) -> bool:
@@ -151,6 +156,12 @@ class Tracer:
         ray, weight, active = sample_rays(self.start, rays, rng, self.weighting)
         if (instants := rays.instants()) is not None:
             ray.time = instants
+        elif self.instants is not None:
+            mi = mitsuba()
+            number = dr.opaque(mi.UInt32, self.instants)
+            one = mi.UInt32(rng.next_float32() * mi.Float(number))
+            cell = rays.cells(self.start.columns)
+            ray.time = mi.Float(cell * number + dr.minimum(one, number - 1))
         return rng, ray, weight, active
 
     @cached_property
