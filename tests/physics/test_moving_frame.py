@@ -474,8 +474,7 @@ def other_systems(tmp_path: Path) -> Callable[[str], System]:
     }
 
     texts["scan"] = (
-        'base = "lidar-scan"\n[emitter]\nrows = 8\ncolumns = 8\n[acquisition]\n'
-        "n_patterns = 64\n"
+        'base = "lidar-scan"\n[emitter]\nrows = 8\ncolumns = 8\n[acquisition]\nn_patterns = 64\n'
     )
 
     def made(kind: str) -> System:

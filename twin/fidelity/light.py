@@ -45,7 +45,7 @@ class LightFidelity(Knobs):
         Error of an exposure's light by interpolation between instants, where something moves during
         a frame, root mean square over patterns, as a share of the exposure's noise: light is
         rendered at as many instants as that takes, each cell at its own, and at none where motion
-        changes counts by less. `Tolerance` and the presets set it, but for `draft`. None: nothing
+        changes counts by less. None, as in the presets and under a `Tolerance`: nothing
         moves during a frame, with a warning where motion may change counts by more than their
         noise.
     noise
