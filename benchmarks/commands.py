@@ -35,5 +35,8 @@ def run_figures(folder: Path) -> Iterator[Figure]:
     spent = json.loads(done.stdout.splitlines()[-1])
     for name in _PARTS:
         yield f"twin run scenes/yard, processor time: {name}", spent[name], "s"
-    share = 100 * spent["choosing"] / (spent["light"] + spent["radar"])
-    yield "twin run scenes/yard: choosing, of light and radar", share, "%"
+    for of, whole in (
+        ("the run", spent["all"]),
+        ("light and radar", spent["light"] + spent["radar"]),
+    ):
+        yield f"twin run scenes/yard: choosing, of {of}", 100 * spent["choosing"] / whole, "%"

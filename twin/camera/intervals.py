@@ -18,7 +18,7 @@ from hardware.reconstruction.measurements import measurements, with_level
 from hardware.reconstruction.sensing import Sensing
 from twin.accuracy import Interval
 from twin.camera.acquisition import Capture
-from twin.camera.score import in_words, psnr_db, similarity
+from twin.camera.score import in_words, psnr_db, similarities, similarity
 from twin.camera.verdict import lit_cells
 
 Array = NDArray[np.float64]
@@ -179,26 +179,27 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
         return Interval(value)
     follows, rng = Follows(capture, image), np.random.default_rng(_SEED)
 
-    def moved(by: Array, rest: Array) -> float:
-        return similarity(truth + by, seen + by + rest)
-
     # The image's error grows with the noise, and that with the light.
     noise, off = noise_interval(capture), seen - truth
-    by_noise = (similarity(truth, truth + (1 + _STEP) * off) - value) / _STEP / noise.value
-
     # One draw and what the image leaves of it; others have blocks of it with the opposite sign.
     draw = _drawn(capture, rng)
     rest = follows.rest(draw)
     signs = [_signs_of_blocks(truth.shape, rng) for _ in range(_DRAWS_OF_IMAGES)]
-    drawn = [moved(sign * draw, sign * rest) for sign in signs]
+    moves = [(sign * draw, sign * rest) for sign in signs]
+    bound = capture.light_systematic_e + 0 * truth
+    is_bounded = bool(np.isfinite(bound[known]).all() and bound[known].any())
+    if is_bounded:
+        moves.append((bound, follows.rest(bound)))
+    noisier, *drawn = similarities(
+        [truth, *(truth + by for by, _ in moves)],
+        [truth + (1 + _STEP) * off, *(seen + by + left for by, left in moves)],
+    )
+    by_noise = (noisier - value) / _STEP / noise.value
+    at_bound = drawn.pop() if is_bounded else np.inf if bound[known].any() else value
     statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
     systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
-    bound = capture.light_systematic_e + 0 * truth
-    if not np.isfinite(bound[known]).all():
-        systematic = np.inf
-    elif bound[known].any():
-        systematic += abs(moved(bound, follows.rest(bound)) - value)
-    return Interval(value, float(statistical), systematic)
+    systematic += abs(at_bound - value)
+    return Interval(value, float(statistical), float(systematic))
 
 
 def _signs_of_blocks(shape: tuple[int, ...], rng: np.random.Generator) -> Array:

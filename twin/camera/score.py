@@ -1,5 +1,6 @@
 """Scores of an image against its truth: peak signal-to-noise ratio and structural similarity."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,10 +68,37 @@ def similarity(truth: Array, image: Array) -> float:
     """SSIM alone; NaN of images narrower than the smallest window."""
     from skimage.metrics import structural_similarity
 
-    window = min(7, *(side - 1 + side % 2 for side in truth.shape))
+    window = _window(truth.shape)
     if window < 3:
         return float("nan")
     known = np.isfinite(truth)
     pair = (np.where(known, pixels, 0.0) for pixels in (truth, image))
     peak = float(truth[known].max(initial=0.0))
     return float(structural_similarity(*pair, data_range=peak, win_size=window))
+
+
+def similarities(truths: Sequence[Array], images: Sequence[Array]) -> Array:
+    """SSIM of each of several pairs of one shape (rows, columns), in one pass over all of them."""
+    from skimage.metrics import structural_similarity
+
+    shape = truths[0].shape
+    window = _window(shape)
+    if window < 3:
+        return np.full(len(truths), np.nan)
+    # One above the other, each by its own peak, which leaves SSIM as it is; windows that reach from
+    # one to the next are cut off, as those at the borders are in any image.
+    pairs = []
+    for truth, image in zip(truths, images, strict=True):
+        known = np.isfinite(truth)
+        peak = float(truth[known].max(initial=0.0))
+        pairs.append([np.where(known, pixels, 0.0) / (peak or 1.0) for pixels in (truth, image)])
+    both = (np.concatenate(stack) for stack in zip(*pairs, strict=True))
+    _, places = structural_similarity(*both, data_range=1.0, win_size=window, full=True)
+    edge = (window - 1) // 2
+    inner = places.reshape(len(truths), *shape)[:, edge:-edge, edge:-edge]
+    return np.asarray(inner.mean(axis=(1, 2)))
+
+
+def _window(shape: tuple[int, ...]) -> int:
+    """Side of SSIM's windows in an image."""
+    return min(7, *(side - 1 + side % 2 for side in shape))
