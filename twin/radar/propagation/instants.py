@@ -58,8 +58,8 @@ _HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
 @dataclass(frozen=True)
 class _Change:
     """What leaving motion within an interval to one instant does to the echo of an object, relative
-    to it: by the phase beyond second order, and by the angle it turns; and what its direct echo
-    was found to change by.
+    to it: by the phase beyond second order, and by the angle it turns; and what was found to change:
+    its direct echo, or, at most, all reflections between its parts.
     """
 
     name: str
@@ -69,7 +69,7 @@ class _Change:
 
     @property
     def error(self) -> float:
-        """Phase and angle together, or what direct echoes were found to change by."""
+        """Phase and angle together, or what was found to change."""
         return max(self.bend_rad + _OVER_ANGLE * self.turned_rad, self.changed)
 
 
@@ -172,16 +172,18 @@ def _checked(
     remarks = []
     names = [*(body.name for body in bodies), "what the middle does not hear"]
     for number, name in enumerate(names):
-        if changes[number] > worst.error:
-            worst = replace(worst, name=name, changed=float(changes[number]))
+        objects = bodies[number].objects if number < len(bodies) else ()
+        turning = reflected[number] > permitted and _parts_turn(scene, radar, objects)
+        changed = float(max(changes[number], reflected[number] if turning else 0.0))
+        if changed > worst.error:
+            worst = replace(worst, name=name, changed=changed)
         if changes[number] > permitted:
             remarks.append(
                 f"motion within an interval: the direct echo of {name} changes by "
                 f"{percent(changes[number])} % of its echo beyond its delays, which is left out; "
                 f"{percent(permitted)} % permitted: {_HOW}"
             )
-        objects = bodies[number].objects if number < len(bodies) else ()
-        if reflected[number] > permitted and _parts_turn(scene, radar, objects):
+        if turning:
             remarks.append(
                 f"motion within an interval: {percent(reflected[number])} % of the echo of "
                 f"{name} are reflections between parts that turn, of which only delays "
