@@ -58,8 +58,8 @@ _HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
 @dataclass(frozen=True)
 class _Change:
     """What leaving motion within an interval to one instant does to the echo of an object, relative
-    to it: by the phase beyond second order, and by the angle it turns; and what was found to change:
-    its direct echo, or, at most, all reflections between its parts.
+    to it: by the phase beyond second order, and by the angle it turns; and what was found to
+    change: its direct echo, or, at most, all reflections between its parts.
     """
 
     name: str
