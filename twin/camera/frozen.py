@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,10 @@ from twin.camera.model_error import side_by_side
 from twin.camera.motion import Seen, WorldInMotion
 from twin.camera.mounting import devices
 from twin.camera.rendered import RenderedLight
+from twin.digest import digest
+from twin.optics.devices import Device
 from twin.scene import Scene
+from twin.system import System
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
@@ -96,24 +100,73 @@ class CountChange:
         return np.linspace(0, duration_s, max(min(n, enough), 1) + 1)
 
 
+@dataclass(frozen=True, eq=False)
+class _View:
+    """From where a frame is lit and seen: equal where all of it is, as sensors of a study often
+    are.
+    """
+
+    emitter: Device
+    detector: Device
+    shape: tuple[int, int]
+
+    @staticmethod
+    def of(scene: Scene, system: System) -> "_View":
+        emitter, detector, _ = devices(scene, system)
+        return _View(emitter, detector, system.image_shape)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _View) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @cached_property
+    def _content(self) -> str:
+        return digest(self.emitter, self.detector, self.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class _Passing:
+    """What a view has of a world in motion: how fast, and cells, (rows, columns), that change."""
+
+    seen: Seen
+    changed: NDArray[np.bool_]
+
+    @staticmethod
+    def of(world: WorldInMotion, view: _View) -> "_Passing":
+        changes = world.changes(world.looks_s, view.emitter, view.detector, view.shape)
+        changed = np.asarray(np.logical_or.reduce(changes, axis=0)).reshape(view.shape)
+        return _Passing(world.seen(view.emitter, view.shape), changed)
+
+
+@lru_cache(maxsize=8)
+def _passing(scene: Scene, duration_s: float, view: _View) -> _Passing | None:
+    """During a frame, once for all sensors of one view; None where nothing moves."""
+    world = WorldInMotion(scene, duration_s)
+    return None if world.is_at_rest else _Passing.of(world, view)
+
+
 def count_change(world: WorldInMotion, chain: Chain, rendered: RenderedLight) -> CountChange:
     """What a world in motion changes counts by; ``rendered``: light at one instant of the frame."""
-    system = chain.system
-    emitter, detector, _ = devices(world.scene, system)
-    shape = system.image_shape
-    changes = world.changes(world.looks_s, emitter, detector, shape)
-    changed = np.asarray(np.logical_or.reduce(changes, axis=0)).reshape(shape)
-    seen = world.seen(emitter, shape)
+    view = _View.of(world.scene, chain.system)
+    return _count_change(_Passing.of(world, view), view.emitter, chain, rendered)
+
+
+def _count_change(
+    passing: _Passing, emitter: Device, chain: Chain, rendered: RenderedLight
+) -> CountChange:
+    system, seen = chain.system, passing.seen
     ones = np.ones_like(rendered.light.cells)
     unit = chain.powers(replace(rendered, light=replace(rendered.light, error=ones))).error_w
-    largest = (2 * emitter.tan_half_field) ** 2 / changed.size * float(unit.max())
+    largest = (2 * emitter.tan_half_field) ** 2 / passing.changed.size * float(unit.max())
     return CountChange(
         side_by_side(chain.powers(rendered).cells_w.sum(axis=0), system),
         chain.sun_weight(rendered) * rendered.sun,
-        changed,
+        passing.changed,
         largest * seen.unseen_per_m2,
         seen,
-        max(shape) / (2 * emitter.tan_half_field),
+        max(system.image_shape) / (2 * emitter.tan_half_field),
         lit_share(chain),
         exposure_noise_w(chain, rendered),
     )
@@ -128,10 +181,13 @@ def frozen_warnings(
     if scene.at_rest and not scene.rig.moves:
         return ()
     duration = min(Exposures.of(chain.system).duration_s, scene.span_s[1])
-    world = WorldInMotion(scene, duration)
-    if duration <= 0 or world.is_at_rest:
+    if duration <= 0:
         return ()
-    change = count_change(world, chain, rendered)
+    view = _View.of(scene, chain.system)
+    passing = _passing(scene, duration, view)
+    if passing is None:
+        return ()
+    change = _count_change(passing, view.emitter, chain, rendered)
     over = change.within(duration)
     if not over > 1:
         return ()
