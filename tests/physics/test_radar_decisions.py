@@ -1,5 +1,7 @@
 """What the radar's solver takes or leaves out by bounds: the error stays within what it tells."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -367,6 +369,57 @@ def test_edges_of_a_faint_plate_are_left_out() -> None:
         trace(world(ball("ball", (8, 0, 0), level=4)), RADAR, fidelity=EDGES_BY_BOUNDS).decisions
         == ()
     )
+
+
+def left_out_of_meshes(scene: Scene, fidelity: Fidelity) -> str:
+    """What a result says of it, after it has said that bodies answer by physical optics."""
+    said = trace(scene, RADAR, fidelity=fidelity).assumptions
+    assert any(text.startswith("meshes scatter by physical optics") for text in said)
+    beginning = "left out of meshes' echoes: "
+    told = [text.removeprefix(beginning) for text in said if text.startswith(beginning)]
+    assert len(told) <= 1
+    return "".join(told)
+
+
+def test_assumptions_name_what_was_left_out_of_meshes() -> None:
+    """Edges and waves round obstacles only where these were not counted, and nothing of meshes
+    where there are none.
+    """
+    near, far = (world(plate("plate", (x, 0, 0), side=0.5)) for x in (30.0, 9000.0))
+    assert left_out_of_meshes(near, DEFAULT) == ""
+    one = "edges of 1 of 1 bodies, within the stated errors"
+    assert left_out_of_meshes(far, DEFAULT) == one
+    assert left_out_of_meshes(near, Fidelity()) == "diffraction by edges"
+    assert left_out_of_meshes(near, PRESETS["reference"]) == ""
+    hidden = world(*near.objects, quad("screen", [[8, 0, -2], [8, 2, -2], [8, 2, 2], [8, 0, 2]]))
+    both = "diffraction by edges; waves round obstacles"
+    assert left_out_of_meshes(hidden, Fidelity()) == both
+    assert "waves" not in left_out_of_meshes(hidden, DEFAULT)
+    assert left_out_of_meshes(hidden, Fidelity(radar_edges=1000, radar_shadowed=7)) == (
+        "waves round obstacles to more than 7 parts of bodies"
+    )
+    said = trace(world(ground(-1.0)), RADAR, fidelity=DEFAULT).assumptions
+    assert not any("meshes" in text for text in said)
+
+
+def test_assumptions_count_what_decisions_left_out() -> None:
+    """Edges and waves round obstacles, of posts that shade each other from near to far."""
+    posts = [
+        quad(f"post {k}", [[x, y, -1], [x, y + 0.1, -1], [x, y + 0.1, 1], [x, y, 1]])
+        for k, (x, y) in enumerate([(5, -0.3), (9, -0.4), (20, 0.5), (2000, 9.0), (4000, -9.0)])
+    ]
+    found = trace(world(*posts), RADAR, fidelity=DEFAULT)
+    (said,) = (text for text in found.assumptions if text.startswith("left out of meshes"))
+    told = dict(re.findall(r"(edges|waves)[a-z ]* (\d) of 5 bodies", said))
+    edges = {d.effect: d.taken for d in found.decisions if d.effect.startswith("edges of")}
+    waves = {d.effect: d for d in found.decisions if "waves round obstacles" in d.effect}
+    without = [
+        effect
+        for effect, decision in waves.items()
+        if not decision.taken and effect.removeprefix("further ") not in waves
+    ]
+    assert int(told["edges"]) == sum(not taken for taken in edges.values()) == 2
+    assert int(told["waves"]) == len(without) == 1
 
 
 def test_what_cannot_rise_above_the_noise_is_listed() -> None:

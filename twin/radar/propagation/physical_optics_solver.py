@@ -31,6 +31,7 @@ from twin.radar.propagation.facets.convergence import (
 )
 from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.facets.reflections import MOST_IMAGES, ReflectionChoice
+from twin.radar.propagation.left_out import on_meshes
 from twin.radar.propagation.one_way.motion import target_motion
 from twin.radar.propagation.physical_optics import (
     Scattered,
@@ -127,6 +128,13 @@ def echoes(
         names,
         roles=tuple(roles),
         assumptions=(
+            *on_meshes(
+                fidelity,
+                len(prepared.world.face_ranges),
+                len(levels.names),
+                edges.n_left_out,
+                round_obstacles.n_left_out(levels),
+            ),
             *prepared.assumptions,
             *edges.remarks,
             *on_clutter,
@@ -286,6 +294,12 @@ class _RoundObstacles:
         decisions = on_round_obstacles(levels.names, bound, left_out, levels.permitted, self.cost_s)
         return decisions, left_out
 
+    def n_left_out(self, levels: _Levels) -> int:
+        """To how many bodies none is taken since bounds say so."""
+        is_taken = self.bound > levels.permitted * levels.reference
+        is_left_out = (self.left_out > 0) & ~is_taken
+        return int(np.count_nonzero(is_left_out)) if self.is_decided else 0
+
 
 def _round_obstacles(
     prepared: PreparedScene,
@@ -358,11 +372,14 @@ def _reflections(
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Echoes of sharp edges, remarks on them, and what was decided."""
+    """Echoes of sharp edges, remarks on them, what was decided, and of how many bodies none of
+    them is taken since bounds say so.
+    """
 
     echoes: Contributions
     remarks: list[str]
     decided: _Decided
+    n_left_out: int = 0
 
 
 def _edges(
@@ -391,7 +408,8 @@ def _edges(
         levels.permitted,
         cost_s,
     )
-    return _Edges(echoes, remarks, (decisions, left_out))
+    n_left_out = int(np.count_nonzero(has_edges & ~is_taken))
+    return _Edges(echoes, remarks, (decisions, left_out), n_left_out)
 
 
 def _mirrors(

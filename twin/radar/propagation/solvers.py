@@ -64,10 +64,6 @@ class Solver:
 
 _POINTS = "declared targets answer with a constant cross-section from one point"
 _SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
-_MESHES = (
-    "meshes scatter by physical optics: no diffraction by edges, no creeping waves, so echoes of "
-    "what is smaller than some wavelengths or met at grazing are off"
-)
 
 
 def _straight(scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int) -> Propagation:
@@ -93,7 +89,7 @@ SOLVERS: dict[str, Solver] = {
     "optics": Solver(
         echoes,
         "physical optics",
-        (_POINTS, _MESHES, _SMOOTH),
+        (_POINTS, _SMOOTH),
         is_seeded=False,
         has_tolerance=True,
         reusing=echoes,
@@ -103,7 +99,6 @@ SOLVERS: dict[str, Solver] = {
         "physical optics, rough surfaces",
         (
             _POINTS,
-            _MESHES,
             "rough surfaces scatter from fixed points of random phase, reached by direct paths "
             "alone",
         ),
