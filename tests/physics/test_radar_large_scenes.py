@@ -25,6 +25,7 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.errors import InputError
 from twin.fidelity import DEFAULT, Fidelity
 from twin.geometry import shape
 from twin.radar.propagation import physical_optics_solver, prepared_scene
@@ -388,6 +389,38 @@ def test_bounds_do_not_cost_a_town_more_than_fixed_knobs(monkeypatch) -> None:
     once, twice = (len(staged(scene, order).all_images) for order in (1, 2))
     assert once > image_search.MANY_IMAGES
     assert twice > 2 * once
+
+
+def test_too_many_images_by_hand_are_refused(monkeypatch) -> None:
+    """Before a ray is sent to any facet, and with the number of paths and what to set. Nothing else
+    changes: one reflection, or as many as are few enough, are followed as ever.
+    """
+
+    def never(*given, **named):
+        raise AssertionError("echoes were looked for")
+
+    scene, twice = town(60), Fidelity(radar_images=2)
+    paths = physical_optics_solver._echo_paths(staged(scene, 2))
+    with monkeypatch.context() as patched:
+        patched.setattr(physical_optics_solver, "scattered", never)
+        with pytest.raises(
+            InputError, match=r"radar_images = 2: .* 2\d\.?\d* million paths"
+        ) as told:
+            trace(town(3000), RADAR, fidelity=twice)
+        assert "set fidelity.radar_images = 1, or leave it to a tolerance" in str(told.value)
+        patched.setattr(physical_optics_solver, "MOST_PATHS_BY_HAND", paths - 1)
+        for most in (2, 9):  # nor are images of nine reflections looked for
+            with pytest.raises(InputError, match=f"{len(staged(scene, 2).all_images) - 1} images"):
+                trace(scene, RADAR, fidelity=twice.with_(radar_images=most))
+        with pytest.raises(AssertionError, match="echoes were looked for"):
+            trace(scene, RADAR, fidelity=Fidelity(radar_images=1))
+        # What else bounds decide on takes longer, over the same paths.
+        patched.setattr(physical_optics_solver, "MOST_PATHS_BY_HAND", paths)
+        patched.setattr(physical_optics_solver, "MOST_ECHO_PATHS", paths - 1)
+        with pytest.raises(InputError, match="radar_images = 2"):
+            trace(scene, RADAR, fidelity=DEFAULT.with_(radar_images=2))
+        with pytest.raises(AssertionError, match="echoes were looked for"):
+            trace(scene, RADAR, fidelity=twice)
 
 
 def test_a_town_is_seen_over_two_walls() -> None:

@@ -98,6 +98,8 @@ class RadarFidelity(Knobs):
         every body as many as may add more than a tenth of `radar_tolerance`. Of ways out by one
         image and home by another both directions are computed, each with its own currents, since
         physical optics is not reciprocal; what is met once answers in each with the mean of both.
+        From 2 on an InputError where these are more than 17 million paths, or than 1 million
+        where bounds decide on bounces or edges, as in a city.
     radar_edges
         Pieces of sharp edges that diffract, all objects and images together; 0: none. Without them
         small bodies with edges are off by 10 dB, mean over all angles (the Austin plates). Where

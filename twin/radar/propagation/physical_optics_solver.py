@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import OfdmWaveform
 from twin.accuracy import Decision
+from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.decisions import (
@@ -63,6 +64,11 @@ Array = NDArray[np.float64]
 #: Where there are more than `MANY_IMAGES`: paths of facets' echoes by pairs of images, up to which
 #: two reflections are followed; some 8 us each, one after the other.
 MOST_ECHO_PATHS = 2**20
+#: Where the number of reflections is given instead, before they are refused: 7e6 of two reflections
+#: in the middle of Munich take 30 s and 1.6 GB; there are 3e7 of three.
+#: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
+#: done after four minutes: then `MOST_ECHO_PATHS` is the limit.
+MOST_PATHS_BY_HAND = 2**24
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
 
@@ -161,8 +167,7 @@ def _prepared(
 ) -> tuple[PreparedScene, NDArray[np.bool_] | None]:
     """With the images that are followed; by bounds also to which objects there are further ones."""
     if fidelity.radar_images is not None:
-        images = fidelity.radar_images
-        return prepare_scene(scene, radar, roles, images, is_rough=is_rough), None
+        return _with_images(scene, radar, roles, fidelity, is_rough), None
     # One more reflection, to know whether there is any beyond those that are followed.
     prepared = prepare_scene(
         scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough, many=MANY_IMAGES
@@ -172,6 +177,35 @@ def _prepared(
         if _echo_paths(further) <= MOST_ECHO_PATHS:
             prepared = replace(further, has_more_images=True)
     return prepared.up_to(MOST_IMAGES)
+
+
+def _with_images(
+    scene: Scene,
+    radar: RadarDesign,
+    roles: Sequence[Assignment],
+    fidelity: Fidelity,
+    is_rough: bool,
+) -> PreparedScene:
+    """With all images of as many reflections as are given.
+
+    Raises InputError where echoes over pairs of them take too many paths, before these are traced;
+    of more than two reflections before images of still more are looked for.
+    """
+    most, others = fidelity.radar_images or 0, ("bounces", "edges", "shadowed")
+    by_bounds = None in (getattr(fidelity, f"radar_{knob}") for knob in others)
+    limit = MOST_ECHO_PATHS if by_bounds else MOST_PATHS_BY_HAND
+    for order in range(min(most, 2), most + 1):
+        prepared = prepare_scene(scene, radar, roles, order, is_rough=is_rough)
+        if order > 1 and (paths := _echo_paths(prepared)) > limit:
+            images = len(prepared.all_images) - 1
+            raise InputError(
+                f"fidelity.radar_images = {most}: {images} images of the radar by up to {order} "
+                f"reflections at large surfaces, and {paths / 1e6:.3g} million paths to facets "
+                f"over pairs of them, expected at most {limit / 1e6:.3g} million: set "
+                f"fidelity.radar_images = {order - 1}, or leave it to a tolerance "
+                "(fidelity.tolerance), which follows as many as count and bounds the rest"
+            )
+    return prepared
 
 
 def _echo_paths(prepared: PreparedScene) -> int:
