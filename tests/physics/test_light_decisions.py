@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from twin.accuracy import Decision
 from twin.camera import Capture, capture
 from twin.camera.mounting import light_problem
 from twin.fidelity import Fidelity
@@ -17,10 +18,11 @@ from twin.optics.devices import Device
 from twin.optics.interreflection import Body
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
+from twin.optics.radiometry import collection
 from twin.optics.transport import gather
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
-from twin.system import load_system
+from twin.system import System, load_system
 
 SQUARE = trimesh.Trimesh(
     [[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]], [[0, 2, 1], [0, 3, 2]], process=False
@@ -197,3 +199,101 @@ def test_a_tolerance_that_is_not_kept_is_in_the_verdict() -> None:
     assert "1e-05 are allowed" in warning
     assert found.verdict.not_within == (warning,)
     assert found.void or str(warning) in str(found.verdict)
+
+
+SMALL = {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
+
+
+def change_in_noise(found: Capture, one: Capture, other: Capture) -> float:
+    """Root mean square over the cells, over the noise of a pixel of what was found."""
+    noise_e = found.noise.pixel_noise_e(found.record.patterns)
+    return float(np.sqrt(np.mean((one.cells_e - other.cells_e) ** 2)) / noise_e)
+
+
+def with_and_without(scene: Scene, design: System, left_out: dict) -> tuple[Capture, ...]:
+    """To a tolerance; and by the same paths with the design as it is and with less in it."""
+    knobs = Fidelity(samples=256, max_depth=1)
+    designs = (design, System.model_validate({**dict(design), **left_out}))
+    found = capture(scene, design, seed=1, fidelity=Fidelity(light_tolerance=0.2))
+    return found, *(capture(scene, each, seed=1, fidelity=knobs) for each in designs)
+
+
+def told(found: Capture, beginning: str) -> Decision:
+    (decision,) = (d for d in found.decisions if d.effect.startswith(beginning))
+    return decision
+
+
+def test_the_shift_of_a_filter_is_told_as_large_as_it_is() -> None:
+    design = load_system("workable").with_(SMALL)
+    band = design.filter.model_copy(update={"effective_index": None, "place": None})
+    found, shifted, straight = with_and_without(load_scene("yard"), design, {"filter": band})
+    decision = told(found, "the filter's shift with angle")
+    assert decision.taken
+    assert decision.bound > 1e-3
+    assert decision.cost_s == 0
+    assert decision.effect.endswith("at no cost")
+    assert decision.bound == pytest.approx(change_in_noise(found, shifted, straight), rel=0.05)
+    without = capture(
+        load_scene("yard"),
+        System.model_validate({**dict(design), "filter": band}),
+        seed=1,
+        fidelity=Fidelity(light_tolerance=0.2),
+    )
+    assert not any("filter" in d.effect for d in without.decisions)
+
+
+@pytest.mark.parametrize("weather", ["clear-air", "haze"])
+def test_what_air_does_is_told_no_smaller_than_it_is(weather: str) -> None:
+    """Extinction and veil against the same light without air: together no less than their change,
+    and that of the veil, which adds, exactly.
+    """
+    design = load_system("workable").with_({**SMALL, "weather.part": weather})
+    found, foggy, clear = with_and_without(load_scene("yard"), design, {"weather": None})
+    extinction, veil = (told(found, what) for what in ("the air's extinction", "veil of light"))
+    noise_e = found.noise.pixel_noise_e(found.record.patterns)
+    added = float(np.sqrt(np.mean(found.backscatter_e**2)) / noise_e)
+    assert veil.bound == pytest.approx(added, rel=0.01)
+    assert veil.taken
+    assert veil.cost_s > 0
+    darker = replace(foggy, cells_e=foggy.cells_e - foggy.backscatter_e)
+    change = change_in_noise(found, darker, clear)
+    assert 0 < change < 1.05 * extinction.bound
+    assert extinction.bound < 1.3 * change
+    scattered = told(found, "light that the air scatters into other cells")
+    assert scattered.taken == (scattered.bound >= scattered.permitted)
+    assert not any(
+        "air" in d.effect for d in taken("fig3a", "workable", light_tolerance=0.2).decisions
+    )
+
+
+def test_the_area_of_a_near_pupil_is_told_no_smaller_than_it_is() -> None:
+    """A wall at 40 radii of the pupil, whose area then counts, and one where it does not."""
+    design = load_system("workable").with_(SMALL)
+    radius_m = collection(design).pupil_diameter_m / 2
+    for radii, is_taken in ((40.0, True), (400.0, False)):
+        wall = body(SQUARE, at=(radii * radius_m, 0, 0))
+        scene = replace(load_scene("fig3a"), objects=(wall,), rig=Rig(Pose((0.0, 0.0, 0.0))))
+        found = capture(scene, design, seed=1, fidelity=Fidelity(light_tolerance=0.2))
+        decision = told(found, "the area of the detector's pupil")
+        assert decision.taken == is_taken == (decision.bound > decision.permitted)
+        lights = []
+        for disc_m in (0.0, radius_m):
+            detector = replace(DETECTOR, origin_m=np.zeros(3), disc_radius_m=disc_m)
+            case = replace(problem(wall), detector=detector)
+            lights.append(gather(case.from_emitter((4, 4), TracingQuality(64, 1), 1)).total)
+        changed = np.max(np.abs(lights[0] / lights[1] - 1))
+        assert 0.5 * decision.bound < changed < 1.01 * decision.bound
+
+
+def test_blur_is_always_taken() -> None:
+    """What of a cell's light it moves elsewhere is not bounded, and says so."""
+    sharp = load_system("workable").with_(SMALL)
+    blurred = sharp.with_({"optics.blur_rms_deg": 0.1})
+    for design, is_told in ((sharp, sharp.optics.blur_rms_deg is not None), (blurred, True)):
+        found = capture(load_scene("fig3a"), design, seed=1, fidelity=Fidelity(light_tolerance=0.2))
+        blurs = [d for d in found.decisions if d.effect.startswith("blur of the detector")]
+        assert len(blurs) == is_told
+        for decision in blurs:
+            assert decision.taken
+            assert math.isinf(decision.bound)
+            assert decision.effect.endswith("always taken, at no cost")

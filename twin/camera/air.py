@@ -20,17 +20,23 @@ Array = NDArray[np.float64]
 
 #: Optical depth of scattering below which scattering is not traced: at most this share of the light
 #: then stays in the wrong cell.
-_THIN = 0.005
+THIN = 0.005
 
 
 def where_air_scatters(air: Air | None, depth_m: Array, quality: TracingQuality) -> TracingQuality:
     """``quality``, without scattering where the air in front of all surfaces is too thin to matter;
     ``depth_m`` of the image, infinite where there is no surface.
     """
-    farthest_m = float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
-    if air is None or air.scattering_per_m * farthest_m >= _THIN:
+    if air is None or scattering_depth(air, depth_m) >= THIN:
         return quality
     return replace(quality, air_orders=0)
+
+
+def scattering_depth(air: Air, depth_m: Array) -> float:
+    """Optical depth of scattering to the farthest surface: more than the share of light that is
+    scattered on the way there.
+    """
+    return air.scattering_per_m * float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ render.
 """
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.camera.air import airlight_of, backscatter_of, where_air_scatters
 from twin.camera.chain import Chain
+from twin.camera.effects import decisions_on_effects
 from twin.camera.equal_paths import sun_light, sun_shape, with_light
 from twin.camera.left_out import bounces_share, lie_in_a_plane, rounding_share
 from twin.camera.light_within import FIRST_SAMPLES, with_light_within, with_sun_within
@@ -158,13 +160,18 @@ def render_light(
             rendered = with_light_within(rendered, problem, chain, fidelity, quality, first)
         else:
             rendered = with_light(rendered, problem, system, quality, first, fidelity.start)
-    if not problem.air:
+    began_s = time.perf_counter()
+    if problem.air:
+        with stage("air"):
+            backscatter = backscatter_of(system, problem, truth.depth_m)
+            light = replace(rendered.light, cells=rendered.light.cells + backscatter.light)
+            paths = rendered.paths and backscatter.added_to(rendered.paths)
+            rendered = replace(rendered, light=light, paths=paths, backscatter=backscatter)
+    if not fidelity.has_light_tolerance:
         return rendered
-    with stage("air"):
-        backscatter = backscatter_of(system, problem, truth.depth_m)
-        light = replace(rendered.light, cells=rendered.light.cells + backscatter.light)
-        paths = rendered.paths and backscatter.added_to(rendered.paths)
-        return replace(rendered, light=light, paths=paths, backscatter=backscatter)
+    cost_s = time.perf_counter() - began_s
+    further = decisions_on_effects(rendered, problem, chain, fidelity, cost_s)
+    return replace(rendered, decisions=(*rendered.decisions, *further))
 
 
 def _no_light(system: System) -> DetectorLight:

@@ -11,7 +11,7 @@ from twin.files import InputError
 from twin.system import System
 
 Outline = Literal["square", "disc"]
-_FAR = 100.0  # radii of the pupil
+FAR = 100.0  # radii of the pupil
 
 
 def cell_centres(n: int) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ def near_pupil_m(lens: Collection, distance_m: float) -> float:
     (R / z)^2 too much, less than 1e-4 from 100 radii on.
     """
     radius = lens.pupil_diameter_m / 2
-    return radius if distance_m < _FAR * radius else 0.0
+    return radius if distance_m < FAR * radius else 0.0
 
 
 def wall_power_w(

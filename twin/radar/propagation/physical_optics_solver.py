@@ -67,7 +67,7 @@ MOST_ECHO_PATHS = 2**20
 #: Where the number of reflections is given instead, before they are refused: 7e6 of two reflections
 #: in the middle of Munich take 30 s and 1.6 GB; there are 3e7 of three.
 #: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
-#: done after four minutes: then `MOST_ECHO_PATHS` is the limit.
+#: done after eight minutes: then `MOST_ECHO_PATHS` is the limit.
 MOST_PATHS_BY_HAND = 2**24
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
