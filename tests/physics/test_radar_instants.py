@@ -281,4 +281,16 @@ def test_what_passes_through_another_body_is_missed_in_the_middle_and_warned_of(
     scene = world(ball("ball", (6.0, 0.0, 0.0), 0.2, 3), fly)
     found = traced_interval(scene, RADAR, OPTICS, 1)
     assert np.isfinite(found.contributions.amplitude).all()
-    assert [line for line in found.warnings if "what the middle does not hear changes" in line]
+    assert [
+        line for line in found.warnings if "what the middle does not hear has an echo of" in line
+    ]
+
+
+def test_what_shows_only_between_the_ends_and_the_middle_is_warned_of() -> None:
+    """A plate at 60 m/s behind a fence: hidden at the interval's middle and at both ends."""
+    half_s = RADAR.burst_s / 2
+    slats = [plate(f"slat {k}", (4.0, k * 40.0 * half_s, 0.0), 0.06) for k in (-1, 0, 1)]
+    fly = plate("fly", (6.0, 0.0, 0.0), 0.04).following(Straight((0.0, 60.0, 0.0)))
+    found = traced_interval(world(fly, *slats), RADAR, OPTICS, 1)
+    told = "what the middle does not hear has an echo of"
+    assert [line for line in found.warnings if told in line]

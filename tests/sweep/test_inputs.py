@@ -60,7 +60,7 @@ def test_two_sweeps_do_not_work_in_one_folder(tmp_path: Path) -> None:
     path, out = closed_form(tmp_path), tmp_path / "runs" / "out"
     waits = (
         "import time\nfrom twin.sweep import store, run_sweep\n"
-        "def wait(*_): print('first result', flush=True); time.sleep(600)\n"
+        "def wait(*_, **__): print('first result', flush=True); time.sleep(600)\n"
         f"store.Store.add = wait\nrun_sweep({str(path)!r}, out={str(out)!r})\n"
     )
     first = subprocess.Popen([sys.executable, "-c", waits], stdout=subprocess.PIPE)

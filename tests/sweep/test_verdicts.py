@@ -105,7 +105,7 @@ def test_failed_points_end_in_their_reasons_and_status_1(
     assert status([1.0, -1.0, -2.0]) == 1
     done = capsys.readouterr()
     assert "3 points, 2 failed" in done.out
-    assert "failed: 1 points: InputError: system: optics.f_number.value = -1.0" in done.err
+    assert "failed: 1 point: InputError: system: optics.f_number.value = -1.0" in done.err
     assert "Traceback" not in done.err
     assert status([1.0, 2.0]) == 0
 

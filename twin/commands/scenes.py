@@ -175,14 +175,16 @@ def check(
     """Validate a scene, list what it holds, and what moves how fast."""
     from rich.table import Table
 
-    from twin.radar import load_radar
     from twin.scene import load_scene, parse_pose
     from twin.scene.checking import check_scene
     from twin.system import load_system
 
     camera = None if system == "none" else load_system(system)
-    design = None if radar == "none" else load_radar(radar)
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
+    # Not before: it loads Dr.Jit, and a scene looks for its libLLVM.
+    from twin.radar import load_radar
+
+    design = None if radar == "none" else load_radar(radar)
     columns = ("object", "triangles", "size (m)", "nearest (m)", "material", "reflectance", "")
     table = Table(*columns, title=f"{loaded.name}: {loaded.triangles} triangles", box=None)
     rows = check_scene(loaded)

@@ -409,15 +409,15 @@ class RadarDesign(Entry):
                 )
             )
         edge = 20 * math.log10(abs(float(wave.slot_gain(np.array(0.5 / wave.slot_period_s)))))
-        speed = min(fastest_m_per_s, wave.max_velocity_m_per_s)
-        doppler = 2 * speed / wave.wavelength_m
-        loss = 20 * math.log10(abs(float(wave.slot_gain(np.array(doppler)))))
+        doppler = 2 * fastest_m_per_s / wave.wavelength_m
+        left = abs(float(wave.slot_gain(np.array(doppler))))
+        loss = 20 * math.log10(max(left, 1e-15))
         if loss < -1:
             warnings.append(
                 CaptureWarning(
                     "design",
                     f"slot: averaging {wave.repeats} repeats loses {-loss:.1f} dB at "
-                    f"{speed:.1f} m/s ({-edge:.1f} dB at the edge)",
+                    f"{fastest_m_per_s:.1f} m/s ({-edge:.1f} dB at the edge)",
                 )
             )
         smeared_db = -20 * np.log10(self.channel_waveform.migration_gain(fastest_m_per_s))

@@ -11,8 +11,9 @@ change from either side cancels: what is left is of second order.
 
 Bounds know how far bodies turn and how their ways bend, but neither shadows that pass nor surfaces
 that come into sight. Where one instant is taken, direct echoes are traced at both ends of the
-interval too, as a check: what they change by, and what is reflected between parts that turn, is
-warned of where it is more than is permitted.
+interval too, and in between wherever something has moved on by its own size, as a check: what they
+change by, and what is reflected between parts that turn, is warned of where it is more than is
+permitted.
 """
 
 from collections.abc import Sequence
@@ -50,6 +51,8 @@ _SAMPLES = 9  # times within the interval at which motions are looked at
 _MOST_SPANS = 2**7
 #: Of spans, at most, between whose ends the echo is compared with one traced in the middle.
 _COMPARED = 5
+#: Times, at most, at which direct echoes are compared over an interval.
+_MOST_PROBES = 33
 #: Solvers of which direct echoes are traced at the ends of an interval, as a check.
 _CHECKED = ("optics", "rough")
 _HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
@@ -94,15 +97,24 @@ def traced_interval(
         return trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
     permitted = fidelity.radar_motion_tolerance or fidelity.radar_tolerance
     began_s = perf_counter()
+    probes = 2
     if worst.error <= permitted:
         found = trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
         if fidelity.radar in _CHECKED and _moved_m(scene, half_s) > radar.ofdm.wavelength_m / 4:
-            worst, remarks = _checked(scene, radar, fidelity, found, worst, permitted)
+            sizes = _sizes_passed(scene, half_s)
+            probes = _probes(sizes)
+            worst, remarks = _checked(scene, radar, fidelity, found, worst, permitted, probes)
+            if 2 * sizes > probes:
+                remarks += (
+                    f"motion within an interval: something moves by {2 * sizes:.2g} times its own "
+                    f"size; echoes were compared at {probes + 1} times, and what is seen only "
+                    "between them is left out",
+                )
             found = replace(found, warnings=found.warnings + remarks)
         if worst.error <= permitted or fidelity.radar_motion_tolerance is None:
             decision = _decision(worst, permitted, False)
             return replace(found, decisions=(*found.decisions, decision))
-    spans = _spans(scene, radar, half_s, permitted)
+    spans = _spans(scene, radar, half_s, permitted, probes)
     step_s = 2 * half_s / spans
     search = _Search(scene, radar, fidelity, seed, step_s, earlier, keep)
     middle = search.at(0.0)
@@ -127,17 +139,37 @@ def traced_interval(
 
 def _moved_m(scene: Scene, half_s: float) -> float:
     """Farthest that anything moves against the radar from the middle of an interval to its ends."""
+    return max((moved for moved, _ in _ways(scene, half_s)), default=0.0)
+
+
+def _sizes_passed(scene: Scene, half_s: float) -> float:
+    """By how many of its own sizes anything moves from the middle of an interval to its ends."""
+    return max((moved / max(size, 1e-9) for moved, size in _ways(scene, half_s)), default=0.0)
+
+
+def _probes(sizes: float) -> int:
+    """Spans, a power of two, in each of which nothing moves on by more than its own size: what is
+    hidden at the times between them is not seen in between.
+    """
+    return 2 * 2 ** int(np.ceil(np.log2(np.clip(sizes, 1, _MOST_PROBES // 2))))
+
+
+def _ways(scene: Scene, half_s: float) -> list[tuple[float, float]]:
+    """Of each object that moves against the radar, the farthest that it does from the middle of an
+    interval to its ends, and its size: of a plate its shorter edge, of a rod its thickness, m.
+    """
     first, last = (float(time) for time in np.clip([-half_s, half_s], *scene.span_s))
     mount = np.asarray(scene.rig.radar.position_m, float)
     rig = scene.rig.course.path_bound_m(mount, 0.0, first, last)
-    bounds = []
+    ways = []
     for item in scene.objects:
-        if not item.moves or not len(item.geometry.faces):
+        if not (item.moves or scene.rig.moves) or not len(item.geometry.faces):
             continue
         low, high = item.geometry.vertices_m.min(axis=0), item.geometry.vertices_m.max(axis=0)
         radius = float(np.linalg.norm(high - low)) / 2
-        bounds.append(item.course.path_bound_m((low + high) / 2, radius, first, last))
-    return rig + max(bounds, default=0.0)
+        own = item.course.path_bound_m((low + high) / 2, radius, first, last)
+        ways.append((rig + own, float(np.sort(high - low)[1])))
+    return ways
 
 
 def _checked(
@@ -147,27 +179,32 @@ def _checked(
     found: Propagation,
     worst: _Change,
     permitted: float,
+    probes: int,
 ) -> tuple[_Change, tuple[str, ...]]:
-    """The largest change, direct echoes at the interval's ends considered, and what to warn of.
+    """The largest change, direct echoes at the interval's ends considered and in between, and what
+    to warn of; ``probes``: spans between the times considered.
 
-    Of each body the direct echoes of both ends are followed to the middle, where they and its own
-    would be the same if nothing changed: the largest of their differences is told.
+    Of each body the direct echoes of all times are followed to the middle, where they and its own
+    would be the same if nothing changed: the largest of their differences from the middle's, and of
+    both ends, is told.
     """
     direct = fidelity.with_(
         radar="optics", radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0
     )
     half_s, bodies = radar.burst_s / 2, found.bodies
-    times = [float(time) for time in np.clip([-half_s, half_s], *scene.span_s)]
-    sums = [_by_body(radar, bodies, found, found.contributions, paths=False)]
-    for time in (0.0, *times):
+    whole = _by_body(radar, bodies, found, found.contributions, paths=False)
+    sums = []
+    for time in _within(scene, half_s * np.linspace(-1, 1, probes + 1)).tolist():
         there = trace(scene.after(time), radar, fidelity=direct, followed_s=half_s)
         echoes = there.contributions
         followed = replace(echoes, delay_s=echoes.delays_at(-time))
         sums.append(_by_body(radar, bodies, there, followed, paths=False))
-    whole, middle, begin, end = sums
+        if time == 0:
+            middle = sums[-1]
     level = reference_levels(whole, fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar))
-    pairs = ((begin, end), (begin, middle), (middle, end))
-    changes = np.max([_over(one - other, level) for one, other in pairs], axis=0)
+    changes = np.max(
+        [_over(one - middle, level) for one in sums] + [_over(sums[0] - sums[-1], level)], axis=0
+    )
     reflected = _over(whole - middle, level)
     remarks = []
     names = [*(body.name for body in bodies), "what the middle does not hear"]
@@ -178,11 +215,7 @@ def _checked(
         if changed > worst.error:
             worst = replace(worst, name=name, changed=changed)
         if changes[number] > permitted:
-            remarks.append(
-                f"motion within an interval: the direct echo of {name} changes by "
-                f"{percent(changes[number])} % of its echo beyond its delays, which is left out; "
-                f"{percent(permitted)} % permitted: {_HOW}"
-            )
+            remarks.append(_unheard(name, float(changes[number]), permitted, number < len(bodies)))
         if turning:
             remarks.append(
                 f"motion within an interval: {percent(reflected[number])} % of the echo of "
@@ -190,6 +223,19 @@ def _checked(
                 f"change: {_HOW}"
             )
     return worst, tuple(remarks)
+
+
+def _unheard(name: str, changed: float, permitted: float, is_heard: bool) -> str:
+    """That a direct echo changes within an interval, by how much, and what to do."""
+    if not is_heard:
+        return (
+            f"motion within an interval: {name} has an echo of {changed:.2g} times what counts at "
+            f"other times, which is left out: {_HOW}"
+        )
+    return (
+        f"motion within an interval: the direct echo of {name} changes by {percent(changed)} % of "
+        f"its echo beyond its delays, which is left out; {percent(permitted)} % permitted: {_HOW}"
+    )
 
 
 def _over(echo: NDArray[np.complex128], level: Array) -> Array:
@@ -278,11 +324,11 @@ def _change(scene: Scene, item: SceneObject, radar: RadarDesign, times_s: Array)
     return _Change(item.name, 4 * np.pi * bend / radar.ofdm.wavelength_m, float(sum(turned)))
 
 
-def _spans(scene: Scene, radar: RadarDesign, half_s: float, permitted: float) -> int:
-    """Number of spans, a power of two, in each of which either end alone would be enough for the
-    nearer half of it.
+def _spans(scene: Scene, radar: RadarDesign, half_s: float, permitted: float, least: int) -> int:
+    """Number of spans, a power of two and not below ``least``, in each of which either end alone
+    would be enough for the nearer half of it.
     """
-    spans = 2
+    spans = 2 ** int(np.ceil(np.log2(least)))
     while spans < _MOST_SPANS:
         reach_s = half_s / spans * np.linspace(-1, 1, 3)
         starts = _within(scene, half_s * (2 * np.arange(spans + 1) / spans - 1))
