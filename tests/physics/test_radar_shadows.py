@@ -27,7 +27,10 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
+from twin.radar.propagation.diffraction.around_edges import first_hit
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
+from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
 
@@ -299,6 +302,15 @@ def test_what_comes_round_an_obstacle_is_decided_by_a_bound(height: float) -> No
     assert taken.taken
     assert taken.bound * level > abs(due - hard)
     assert not any("is left out, and in no stated error" in text for text in found.assumptions)
+
+
+def test_no_rays_meet_nothing() -> None:
+    """Where finer cells change too little to count none are left, and none are sent."""
+    scene = world(plate("plate", (10, 0, 0)))
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
+    none = np.zeros((0, 3))
+    found = first_hit(prepare_scene(scene, RADAR, roles, 0), none, none, np.zeros(3))
+    assert found.shape == (0,)
 
 
 def test_far_from_every_edge_nothing_comes_round() -> None:

@@ -315,6 +315,8 @@ def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bo
 
 def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
     """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
+    if not len(places):
+        return np.zeros(0, dtype=np.int64)  # the engine aborts the process on none
     mi = prepared.context.mi
     begin = places + off
     length = np.linalg.norm(source - begin, axis=1, keepdims=True)
