@@ -54,7 +54,9 @@ class Search:
     most_cells
         Largest displacement from the first exposure to the last, down and to the right, cells.
     evidence
-        Least gain of the log-likelihood over rest. None of the 10 frames at rest of five pictures
+        Least gain of the log-likelihood over rest, and over the opposite velocity: detail that the
+        prior does not expect makes any motion likelier than rest, but forth as much as back. None
+        of the 10 frames at rest of five pictures
         that nothing was tuned on, noise of 0.1 and 0.01 of their range, full sets of the order
         ``interleaved``, is taken for moving (below 26 % with 95 % confidence; gains up to 17.7
         where the next condition holds too). Of the same moving by 20 cells, four pass with
@@ -63,6 +65,13 @@ class Search:
         left in the image.
     evidence_beside
         Least gain over velocities 6 cells a frame beside the best.
+    prediction
+        Least gain over rest in predicting each measurement from all others: the sum of differences
+        of squared errors over its standard error. Of 150 frames at rest of 50 scenes of blobs and
+        boxes, 16 x 16 cells, noise of 0.1, 0.01 and 0.001 of their range, searched to 5 cells, none
+        is taken for moving (below 2 % with 95 % confidence), with gains up to 2.7 where all other
+        conditions hold; of 51 of 32 x 32 none (below 6 %). Of 10 that move by 3 cells, 16 x 16,
+        noise of 0.01, nine pass; of four that move by one cell, one.
     starts
         Velocities to begin with beside those of the search: of odometry, of a radar's tracks.
     """
@@ -70,10 +79,11 @@ class Search:
     most_cells: float = 32.0
     evidence: float = 20.0
     evidence_beside: float = 10.0
+    prediction: float = 4.0
     starts: tuple[Shift, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        for name in ("most_cells", "evidence", "evidence_beside"):
+        for name in ("most_cells", "evidence", "evidence_beside", "prediction"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name}: {value} is not a positive number")
@@ -124,12 +134,17 @@ def estimated_shift(
     best, last = places[0], stages[-1]
     around = [np.array(best) + step for step in _AROUND_CELLS]
     evidence = last.cost((0.0, 0.0)) - found[0][0]
+    over_opposite = last.cost(-np.array(best)) - found[0][0]
     beside = min(last.cost(place) for place in around) - found[0][0]
     errors = [e / span_s for e in _errors(last, best)]
     return EstimatedShift(
         Shift(best[0] / span_s, best[1] / span_s),
         float(evidence),
-        bool(evidence > search.evidence and beside > search.evidence_beside),
+        bool(
+            min(evidence, over_opposite) > search.evidence
+            and beside > search.evidence_beside
+            and _gain_of_prediction(last, best) > search.prediction
+        ),
         (errors[0], errors[1]),
     )
 
@@ -198,9 +213,7 @@ class _Likelihood:
         gram = self._covariance(place)
         total = 0.0
         for y, noise in zip(self.values.T, self.noise, strict=True):
-            scale = max(float(y @ y) - m * noise, 0.1 * m * noise) / np.trace(gram)
-            system = gram.copy()
-            np.fill_diagonal(system, gram.diagonal() + noise / scale)
+            system = _with_noise(gram, y, float(noise))
             try:
                 factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
             except LinAlgError:
@@ -209,6 +222,19 @@ class _Likelihood:
             total += m / 2 * np.log(max(misfit, 1e-300) / m)
             total += float(np.log(factor[0].diagonal()).sum())
         return float(total)
+
+    def left_out(self, place: tuple[float, float] | Array) -> tuple[Array, Array]:
+        """Errors of each measurement as all others predict it at a displacement, and their
+        variance in units of the scale, ``(m, n_images)`` both (Rasmussen and Williams, Gaussian
+        Processes for Machine Learning, 2006, eq. 5.12).
+        """
+        gram = self._covariance(place)
+        errors, variances = np.empty_like(self.values), np.empty_like(self.values)
+        for image, (y, noise) in enumerate(zip(self.values.T, self.noise, strict=True)):
+            inverse = np.linalg.pinv(_with_noise(gram, y, float(noise)), hermitian=True)
+            variances[:, image] = 1 / inverse.diagonal()
+            errors[:, image] = inverse @ y * variances[:, image]
+        return errors, variances
 
     def _covariance(self, place: tuple[float, float] | Array) -> Array:
         """A C A^T of unit scale at a displacement, ``(m, m)``."""
@@ -232,6 +258,24 @@ class _Likelihood:
         if self.centred:
             rows = rows - rows.mean(axis=0)
         return np.asarray(rows @ rows.T)
+
+
+def _with_noise(gram: Array, y: Array, noise: float) -> Array:
+    """Covariance of measurements y (m,) by that of unit scale, in units of their scale."""
+    m = len(y)
+    scale = max(float(y @ y) - m * noise, 0.1 * m * noise) / np.trace(gram)
+    system = gram.copy()
+    np.fill_diagonal(system, gram.diagonal() + noise / scale)
+    return system
+
+
+def _gain_of_prediction(stage: _Likelihood, best: tuple[float, float]) -> float:
+    """See `Search.prediction`; squared errors are in units of their variance by both."""
+    rest, rest_variance = stage.left_out((0.0, 0.0))
+    moved, moved_variance = stage.left_out(best)
+    gain = (rest**2 - moved**2) / (rest_variance + moved_variance)
+    power = float(np.sqrt(np.sum(gain**2)))
+    return float(gain.sum()) / power if power else 0.0
 
 
 def _refined(
