@@ -66,7 +66,7 @@ def reconstruct(
     from hardware.records.state import ALWAYS_OPEN
 
     solve, loaded = method_of(method), read_record(record)
-    moved = motion_of(motion) if motion else None
+    moved = motion_of(motion) if motion is not None else None
     start = time.perf_counter()
     say.step(f"read {record}")
     calibrated = _mixing(mixing) if mixing else None

@@ -167,7 +167,7 @@ def process(
     from hardware.tracks import RadarTracks
 
     radar_tracks = RadarTracks() if tracks else None
-    moved = motion_of(motion) if motion else None
+    moved = motion_of(motion) if motion is not None else None
     if image_every and isinstance(moved, Search):
         raise InputError("--motion: estimate: needs whole sets, expected no --image-every")
     sliding = SlidingImages(image_every, moved) if image_every else None  # type: ignore[arg-type]

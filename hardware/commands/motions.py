@@ -20,6 +20,8 @@ def motion_of(given: str) -> "Motion | Search":
 
     if given == "estimate":
         return Search()
+    if not given.strip():
+        raise InputError(f"--motion: empty, {_EXPECTED}")
     path = Path(given)
     if path.suffix == ".csv":
         return _track(path)
@@ -103,6 +105,8 @@ def _layers(path: Path) -> "Motion":
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}") from error
     _only(path, "", given, {"background_cells_per_s", "object"})
+    if not given:
+        raise InputError(f"{path}: empty, expected background_cells_per_s or [[object]]")
     tables = given.get("object", [])
     if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
         raise InputError(f"{path}: object: expected tables, each under [[object]]")
@@ -131,14 +135,16 @@ def _only(path: Path, where: str, table: dict[str, Any], known: set[str]) -> Non
 def _numbers(path: Path, where: str, table: dict[str, Any], key: str, n: int) -> list[float]:
     import math
 
-    values = table.get(key)
+    if key not in table:
+        raise InputError(f"{path}: {where}{key}: missing, expected {n} finite numbers")
+    values = table[key]
     fits = isinstance(values, list) and len(values) == n
     if not fits or not all(
         isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one)
-        for one in values  # type: ignore[union-attr]
+        for one in values
     ):
         raise InputError(f"{path}: {where}{key}: {values!r:.60}, expected {n} finite numbers")
-    return [float(one) for one in values]  # type: ignore[union-attr]
+    return [float(one) for one in values]
 
 
 def _field(path: Path) -> "Motion":

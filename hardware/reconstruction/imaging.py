@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.motion.compensated import (
     ERRORS_IN_95,
     MovingScene,
     check_known,
+    check_reference,
     motion_found,
     moving_scene,
 )
@@ -158,7 +160,13 @@ def reconstruct(
     variance, most = measured.noise_variance, measured.most_noise_variance
     moving, told_of_search = None, tuple[str, ...]()
     if motion is not None:
+        if not isinstance(motion, Motion | Search):
+            raise InputError(
+                f"motion: {type(motion).__name__}, expected a motion, Search() to find one in the "
+                "measurements, or None"
+            )
         check_known(record.patterns, mixing)
+        check_reference(record, reference_ns)
         arrived = record.received
         if isinstance(motion, Search):
             motion, told_of_search = motion_found(record, arrived, variance, motion, reference_ns)

@@ -25,12 +25,12 @@ from hardware import (
 )
 from hardware.patterns import hadamard_rows
 from hardware.reconstruction.cosine import filtered
-from hardware.reconstruction.motion import solvers, twist_between
+from hardware.reconstruction.motion import estimated_shift, solvers, twist_between
 from hardware.reconstruction.motion.fitting import fitted_prior
 from hardware.reconstruction.motion.knobs import STANDARD
 from hardware.reconstruction.motion.operators import moving_patterns
 from hardware.reconstruction.motion.solvers import Prior
-from hardware.reconstruction.motion.timing import timed_rows
+from hardware.reconstruction.motion.timing import exposure_times_s, middle_ns, timed_rows
 
 N, DOWN, RIGHT = 32, 4.0, 10.0
 SCENE = AnalyticScene.of(3, N, 12.0)
@@ -352,6 +352,33 @@ def test_bad_motion_is_named(motion, told: str) -> None:
         reconstruct(record, motion=motion())
 
 
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (lambda: {"motion": "estimate"}, "motion: str, expected a motion, Search"),
+        (lambda: {"motion": Shift("1", 0)}, "motion: down_cells_per_s: holds what is not"),
+        (lambda: {"motion": Shift(1j, 0)}, "motion: down_cells_per_s: holds what is not"),
+        (lambda: {"motion": Shift(np.ones(2), 0)}, r"motion: down_cells_per_s: shape \(2,\)"),
+        (lambda: {"motion": SHIFT, "reference_ns": 10**15}, "reference_ns: 10{15}, expected"),
+        (lambda: {"motion": SHIFT, "reference_ns": -(10**25)}, "reference_ns: -10{25}, expected"),
+        (lambda: {"motion": SHIFT, "reference_ns": "x"}, "reference_ns: 'x', expected a whole"),
+        (lambda: {"compensation": Compensation(oversampling=1.5)}, "oversampling: 1.5, expected"),
+        (lambda: {"compensation": Compensation(error_samples=1.5)}, "error_samples: 1.5, exp"),
+        (lambda: {"compensation": Compensation(prior_rows=0.5)}, "prior_rows: 0.5, expected"),
+        (lambda: {"compensation": Compensation(seed=-1)}, "seed: -1, expected a whole"),
+        (lambda: {"compensation": Compensation(residual="a")}, "residual: 'a' is not"),
+        (
+            lambda: {"motion": CellMotion(np.full((N, N, 2), 1e8))},
+            "motion: moves the image by 9.69e",
+        ),
+    ],
+)
+def test_wrong_arguments_are_named(wrong, told: str) -> None:
+    record = moving_record(moving, PatternSet(N, N, 16))
+    with pytest.raises(InputError, match=f"^{told}"):
+        reconstruct(record, **wrong())
+
+
 def test_walsh_rows_of_products() -> None:
     """What `ShiftedPatterns` rests on: row i of n x m is the product of rows of n and of m."""
     rows = hadamard_rows(np.arange(32), 32).reshape(32, 4, 8)
@@ -424,3 +451,27 @@ def test_too_few_patterns_to_look_for_motion_are_told() -> None:
 def test_a_dark_scene_does_not_move() -> None:
     record = moving_record(lambda _: np.zeros(N * N), PatternSet(N, N, 64), background=0.0)
     assert reconstruct(record, motion=Search(most_cells=4)).motion is None
+
+
+def test_detail_that_the_prior_does_not_expect_is_no_motion() -> None:
+    """At 16 x 16 sharp scenes at rest are likelier in motion, but not better predicted by it."""
+    still = AnalyticScene.of(6, 16, 4.0, 0.6)
+    likelier = 0
+    for speed in (0.0, 3.0):
+        record = moving_record(
+            lambda t, speed=speed: still.cells(16, 0.0, speed * t).ravel(),
+            PatternSet(16, 16, 256, "interleaved"),
+            noise=0.01,
+        )
+        taken = timed_rows(
+            record.patterns,
+            record.counts.astype(float),
+            exposure_times_s(record, middle_ns(record)),
+            pairs_apart=False,
+        )
+        found = estimated_shift(
+            record.patterns, taken, np.array([256 * (1e5 * 0.01) ** 2]), Search(most_cells=4)
+        )
+        likelier += found.evidence > Search().evidence
+        assert found.is_significant == (speed > 0)
+    assert likelier == 2

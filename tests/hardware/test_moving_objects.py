@@ -10,6 +10,7 @@ import pytest
 from moving_scenes import AnalyticScene, moving_record, psnr
 
 from hardware import (
+    CellMotion,
     Compensation,
     InputError,
     Layers,
@@ -131,6 +132,41 @@ def test_boxes_that_hide_each_other() -> None:
     np.testing.assert_allclose(sources, [[1.0, 1.0], [1.0, 3.0], [6.0, 3.0], [9.0, 9.0]])
 
 
+def test_what_lies_far_beyond_the_field_takes_no_memory() -> None:
+    """A box that covers all for ever is a shift of everything, however large it is."""
+    time_s = np.linspace(-0.5, 0.5, 12)
+    rows = timed_rows(
+        PatternSet(8, 8, 12, mode="complementary"), np.zeros((12, 2)), time_s, pairs_apart=False
+    )
+    found = [
+        moving_patterns(rows, Layers(BACKGROUND, (box,)), (8, 8), STANDARD)
+        for box in (MovingBox(-e, -e, e, e, Shift(0.0, 2.0)) for e in (40.0, 1e4, 1e9))
+    ]
+    assert found[0].grid.shape == found[1].grid.shape == found[2].grid.shape
+    for one in found[1:]:
+        some = np.arange(12)
+        np.testing.assert_allclose(one.rows(some), found[0].rows(some), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (lambda: MovingBox("a", 0, 4, 4, OBJECT), "motion: box: top, left"),
+        (lambda: MovingBox(0, 0, 4, 4, None), "motion: box: moves by NoneType"),
+        (
+            lambda: MovingBox(0, 0, 4, 4, CellMotion(np.zeros((8, 8, 2)))),
+            "motion: box: moves by CellMotion",
+        ),
+        (lambda: Layers(None, ()), "motion: background: NoneType"),
+        (lambda: Layers(LAYERS, ()), "motion: background: Layers"),
+        (lambda: Layers(BACKGROUND, ("a",)), "motion: objects: str"),
+    ],
+)
+def test_wrong_layers_are_told(wrong, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        wrong()
+
+
 def test_a_box_without_a_size_is_told() -> None:
     with pytest.raises(InputError, match=r"^motion: box: top, left, bottom, right"):
         MovingBox(4.0, 0.0, 4.0, 3.0, OBJECT)
@@ -239,8 +275,9 @@ def test_objects_in_a_file(tmp_path: Path) -> None:
     [
         ("backgroud = 1", "backgroud: no such key"),
         ("background_cells_per_s = [0.0, nan]", "background_cells_per_s: [0.0, nan], expected 2"),
+        ("", "empty, expected background_cells_per_s or [[object]]"),
         ("object = 3", "object: expected tables"),
-        ("[[object]]\nbox_cells = [0, 0, 1, 1]", "object[0].cells_per_s: None, expected 2"),
+        ("[[object]]\nbox_cells = [0, 0, 1, 1]", "object[0].cells_per_s: missing, expected 2"),
         (
             "[[object]]\nbox_cells = [4, 0, 1, 1]\ncells_per_s = [0, 0]",
             "object[0]: motion: box: top, left, bottom, right (4.0, 0.0, 1.0, 1.0)",

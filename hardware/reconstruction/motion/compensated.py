@@ -38,6 +38,8 @@ _BESIDE_ALL_LIGHT = 0.02
 _FEWEST_FITTED = 64
 #: Rank correlation of a row's prior variance with its time from which on motion is hardly told.
 _IN_ORDER = 0.9
+#: Lengths of a record that a reference time may lie before or after it.
+_MOST_FRAMES = 100
 #: Standard errors that hold 95 % of all cells, see `MovingScene.linear`.
 ERRORS_IN_95 = 2.5
 
@@ -223,6 +225,23 @@ def check_known(patterns: Patterns, mixing: Mixing | None) -> PatternSet:
             "motion: needs rows of the Hadamard matrix, these patterns are a user's own"
         )
     return patterns
+
+
+def check_reference(record: SpiRecord, reference_ns: int | None) -> None:
+    """Raise InputError unless the reference time is on the record's clock, within `_MOST_FRAMES` of
+    the record's length from it: a motion is not known for longer.
+    """
+    if reference_ns is None:
+        return
+    first, last = int(record.device_time_ns[0]), int(record.device_time_ns[-1])
+    last += round(1e9 * record.integration_time_s)
+    beyond = _MOST_FRAMES * (last - first)
+    whole = isinstance(reference_ns, int | np.integer)
+    if not whole or not first - beyond <= reference_ns <= last + beyond:
+        raise InputError(
+            f"reference_ns: {reference_ns!r:.60}, expected a whole number from {first - beyond} to "
+            f"{last + beyond}, the record is from {first} to {last}"
+        )
 
 
 def motion_found(

@@ -63,13 +63,17 @@ class Compensation:
             ("most_iterations", 1),
             ("error_samples", 0),
             ("prior_rows", 0),
+            ("seed", 0),
         ):
-            if getattr(self, name) < least:
-                raise InputError(f"{name}: {getattr(self, name)}, expected at least {least}")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise InputError(f"{name}: {value!r:.60}, expected a whole number from {least} on")
         for name in ("still_cells", "step_cells", "within_pair_cells", "least_noise", "residual"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name}: {value} is not a positive number")
+            if not (
+                isinstance(value, int | float | np.number) and np.isfinite(value) and value > 0
+            ):
+                raise InputError(f"{name}: {value!r:.60} is not a positive number")
 
 
 #: As they are unless asked otherwise.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.reconstruction.motion.model import Motion, Translation
+from hardware.reconstruction.motion.model import Motion, Translation, all_finite
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,12 @@ class MovingBox:
 
     def __post_init__(self) -> None:
         edges = (self.top, self.left, self.bottom, self.right)
-        if not np.isfinite(edges).all() or self.top >= self.bottom or self.left >= self.right:
+        if not isinstance(self.motion, Translation):
+            raise InputError(
+                f"motion: box: moves by {type(self.motion).__name__}, expected a Shift or a "
+                "ShiftTrack"
+            )
+        if not all_finite(edges) or self.top >= self.bottom or self.left >= self.right:
             raise InputError(
                 f"motion: box: top, left, bottom, right {edges}, expected finite numbers, top "
                 "above bottom and left of right"
@@ -59,6 +64,16 @@ class Layers(Motion):
 
     background: Motion
     objects: tuple[MovingBox, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.background, Motion) or isinstance(self.background, Layers):
+            raise InputError(
+                f"motion: background: {type(self.background).__name__}, expected a motion without "
+                "layers"
+            )
+        kinds = {type(one).__name__ for one in self.objects} - {MovingBox.__name__}
+        if kinds:
+            raise InputError(f"motion: objects: {min(kinds)}, expected each a MovingBox")
 
     def sources(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
         """See `Motion.sources`; a box hides what is behind it."""
@@ -82,10 +97,16 @@ class Layers(Motion):
         found = [self.background.sources(t, places, shape) for t in times]
         bottom = np.ceil(max(one[:, 0].max() for one in found)) + 1
         for box in reversed(self.objects):
-            first = np.array([bottom + _GAP - box.top, -box.left])
-            bottom += _GAP + np.ceil(box.bottom - box.top)
-            for t, sources in zip(times, found, strict=True):
-                within = box.motion.sources(t, places, shape)
-                inside = box.holds(within)
-                sources[inside] = within[inside] + first
+            within = [box.motion.sources(t, places, shape) for t in times]
+            inside = [box.holds(one) for one in within]
+            seen = np.concatenate([one[of] for one, of in zip(within, inside, strict=True)])
+            if seen.size == 0:
+                continue
+            # Of a box that reaches far beyond the image, what is seen of it within the frame.
+            top, left = np.maximum([box.top, box.left], np.floor(seen.min(axis=0)) - 1)
+            end = min(box.bottom, np.ceil(seen[:, 0].max()) + 1)
+            first = np.array([bottom + _GAP - top, -left])
+            bottom += _GAP + np.ceil(end - top)
+            for sources, one, of in zip(found, within, inside, strict=True):
+                sources[of] = one[of] + first
         return found

@@ -67,7 +67,10 @@ class Shift(Translation):
 
     def __post_init__(self) -> None:
         for name in vars(self):
-            _check(f"motion: {name}", getattr(self, name))
+            value = getattr(self, name)
+            if np.ndim(value):
+                raise InputError(f"motion: {name}: shape {np.shape(value)}, expected a number")
+            _check(f"motion: {name}", value)
 
     def displacement(self, time_s: Array) -> Array:
         """See `Translation.displacement`."""
@@ -213,8 +216,14 @@ def sampled(field: Array, places: Array) -> Array:
     return np.stack(parts, axis=1)
 
 
+def all_finite(value: ArrayLike) -> bool:
+    """Whether a value holds finite real numbers only."""
+    kind = np.asarray(value).dtype.kind
+    return kind in "fiu" and bool(np.isfinite(np.asarray(value, np.float64)).all())
+
+
 def _check(name: str, value: ArrayLike) -> None:
-    if not np.isfinite(np.asarray(value, np.float64)).all():
+    if not all_finite(value):
         raise InputError(f"{name}: holds what is not a number")
 
 

@@ -61,7 +61,8 @@ class ShiftedPatterns:
     ) -> None:
         moved = motion.displacement(timed.time_s.ravel())
         far = np.array(shape) - 1.0
-        low, high = -moved.max(axis=0), far - moved.min(axis=0)
+        low = np.minimum(-moved.max(axis=0), 0.0)
+        high = np.maximum(far - moved.min(axis=0), far)
         size = timed.rows.size * knobs.oversampling * float(np.sum(high - low + 2))
         check_size(size, float(np.abs(moved).max()))
         self.grid = Grid.around(shape, low - 0.5, high + 0.5, knobs.oversampling)
@@ -134,8 +135,8 @@ class WarpedPatterns:
             sources = motion.on_grid(instants, places, shape)
         else:
             sources = [motion.sources(float(t), places, shape) for t in instants]
-        low = np.min([s.min(axis=0) for s in sources], axis=0)
-        high = np.max([s.max(axis=0) for s in sources], axis=0)
+        low = np.min([np.zeros(2), *(s.min(axis=0) for s in sources)], axis=0)
+        high = np.max([np.array(shape) - 1.0, *(s.max(axis=0) for s in sources)], axis=0)
         far = float(np.abs(np.array([s - places for s in sources])).max())
         check_size(8.0 * n * n * n_cells * len(instants), far)
         check_size(n * n * float(np.prod(high - low + 2)), far)
@@ -235,6 +236,7 @@ def _instants(
         return np.concatenate([one.sources(time_s, places, shape) for one in motion.parts])
 
     here = at(first)
+    whole = float(np.abs(at(last) - here).max())
     share = 1.0
     while found[-1] < last:
         ahead = min(found[-1] + share * (last - first), last)
@@ -246,7 +248,7 @@ def _instants(
             share *= max(0.8 * step_cells / moved, 0.01)
             continue
         found.append(ahead)
-        check_size(8.0 * len(found) * len(places), moved * len(found))
+        check_size(8.0 * len(found) * len(places), max(whole, moved * len(found)))
         here, share = there, share * 1.1
     return np.array(found)
 
@@ -278,7 +280,7 @@ def check_size(values: float, moved: float) -> None:
     """Raise InputError for an operator that is larger than `MOST_VALUES`."""
     if not values <= MOST_VALUES:
         raise InputError(
-            f"motion: moves the image by {moved:.3g} cells within the frame; {values:.3g} values "
-            f"are needed to follow it, at most {MOST_VALUES:.3g} are granted: take fewer patterns, "
-            "or a shorter frame"
+            f"motion: moves the image by {moved:.3g} cells within the frame; "
+            f"{np.ceil(values / 2**17):.6g} MiB are needed to follow it, at most "
+            f"{MOST_VALUES / 2**17:g} MiB are granted: take fewer patterns, or a shorter frame"
         )
