@@ -14,6 +14,7 @@ surfaces.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,16 @@ class Screens:
 
     def outline(self, item: int, place: Array) -> Outline:
         """That of an obstacle from a place relative to the anchor."""
-        return outline(self.items[item], place + self.prepared.anchor_m)
+        if not np.array_equal(place, self.prepared.images[0].place):
+            return outline(self.items[item], place + self.prepared.anchor_m)
+        if item not in self._from_radar:
+            self._from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
+        return self._from_radar[item]
+
+    @cached_property
+    def _from_radar(self) -> dict[int, Outline]:
+        """Outlines that were asked for from the radar, by their obstacles."""
+        return {}
 
 
 def screens(

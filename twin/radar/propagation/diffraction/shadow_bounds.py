@@ -33,8 +33,7 @@ class Cells:
     ``level``: of the waves over edges that are followed, over the straight one, at most;
     ``nearest``: root of the least phase q of a path over one of them; ``steepest``: growth of that
     root across the line of sight, 1/m; ``aside``: square of the angle between both waves over q;
-    ``across`` (n_cells, 3): unit vector from the straight path to the nearest edge; ``far``: level
-    of the waves over all other edges.
+    ``across`` (n_cells, 3): unit vector from the straight path to the nearest edge.
     """
 
     level: Array
@@ -42,7 +41,6 @@ class Cells:
     steepest: Array
     aside: Array
     across: Array
-    far: Array
 
     def take(self, which: NDArray[np.bool_]) -> "Cells":
         """Only some of them."""
@@ -65,14 +63,13 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
     reach = np.linalg.norm(facets.corners - center[cell][:, None], axis=2).max(axis=1)
     np.maximum.at(radius, cell, reach)
     direct = center - obstacles.prepared.images[0].place
-    level, far_power = np.zeros(count), np.zeros(count)
-    nearest, steepest, aside = np.full(count, np.inf), np.zeros(count), np.zeros(count)
+    level, nearest = np.zeros(count), np.full(count, np.inf)
+    steepest, aside = np.zeros(count), np.zeros(count)
     across = np.zeros((count, 3))
     others = np.flatnonzero(obstacles.body != body)
     deepest = np.sqrt(farthest(obstacles.faintest))
     gaps = _gaps(obstacles, others, direct, radius)
     is_far = gaps > deepest
-    far_power += np.sum(np.where(is_far, 2 * knife_edge_bound(gaps), 0.0) ** 2, axis=1)
     for column in np.flatnonzero(~is_far.all(axis=0)):
         rim = obstacles.outline(int(others[column]), obstacles.prepared.images[0].place)
         rows = np.flatnonzero(~is_far[:, column])
@@ -81,14 +78,13 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
             some = rows[first : first + step]
             found = _beside(rim, direct[some], radius[some], obstacles.wavenumber)
             near = found[1] <= deepest
-            far_power[some] += np.where(near, obstacles.faintest, found[0]) ** 2
             level[some] += np.where(near, found[0], 0.0)
             is_nearer = near & (found[1] < nearest[some])
             across[some[is_nearer]] = rim.lit[found[4][is_nearer]]
             nearest[some] = np.minimum(nearest[some], np.where(near, found[1], np.inf))
             steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
             aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
-    return Cells(level, nearest, steepest, aside, across, np.sqrt(far_power))
+    return Cells(level, nearest, steepest, aside, across)
 
 
 def _gaps(obstacles: Screens, others: Indices, direct: Array, radius: Array) -> Array:

@@ -1,0 +1,102 @@
+"""Echoes by waves over edges that no ray is sent along, from geometry alone.
+
+Of each cell of a body and each edge of other objects whose shortest path to the cell meets it
+between its ends: the knife-edge factor of every facet, with its own phase, and its answer to the
+wave from the edge's direction. Nothing is looked for that blocks a path, so that the sum is an
+estimate, not an echo. Facets at nearly one path length add up with their phases; different lengths,
+which the band tells apart, by their powers (Parseval).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.around_edges import Screens
+from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
+from twin.radar.propagation.diffraction.rims import farthest, matching_pairs
+from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.meshes.silhouettes import Outline
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+_BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
+_MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
+
+
+def unfollowed_waves(
+    obstacles: Screens, facets: Facets, body: int, strength: Array, other_way: Array
+) -> float:
+    """Amplitude, rms over the band, of a body's echoes by edges too far from the straight paths for
+    rays to be sent along: waves below the faintest that are followed.
+
+    ``strength`` (n,): echo of each facet, were its waves in phase; ``other_way`` (n_cells,): of the
+    waves on the other way, over the straight one.
+    """
+    source = obstacles.prepared.images[0].place
+    middle, size = facets.middle, np.bincount(facets.cell)
+    center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1) - source
+    weight = strength * other_way[facets.cell]
+    direct = middle - source
+    straight = np.linalg.norm(direct, axis=1)
+    back = -direct / straight[:, None]
+    k, deepest = obstacles.wavenumber, farthest(obstacles.faintest)
+    lengths, waves = [np.zeros(0)], [np.zeros(0, dtype=complex)]
+    for item in np.flatnonzero(obstacles.body != body).tolist():
+        rim = obstacles.outline(item, source)
+        step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
+        for first in range(0, len(center) if len(rim.ends) else 0, step):
+            cell, edge = _met(rim, center[first : first + step])
+            pair, row = matching_pairs(cell + first, facets.cell)
+            longer, towards = _over(rim, edge[pair], direct[row], straight[row])
+            is_far = (k * longer > deepest) & (weight[row] > 0)
+            row, longer, towards = row[is_far], longer[is_far], towards[is_far]
+            wave = weight[row] * knife_edge_factor(k * longer)
+            wave *= facets.take(row).mean(k * (back[row] + towards))
+            length = 2 * straight[row] + longer
+            waves.append(wave * np.exp(-1j * (k * length % (2 * np.pi))))
+            lengths.append(length)
+    return _rms(np.concatenate(lengths), np.concatenate(waves))
+
+
+def _met(rim: Outline, direct: Array) -> tuple[Indices, Indices]:
+    """Cells, at the ends of vectors (n, 3), and edges that shortest paths to them meet."""
+    first, side = rim.ends[:, 0], rim.ends[:, 1] - rim.ends[:, 0]
+    length = np.linalg.norm(side, axis=1)
+    along = side / length[:, None]
+    at_source = -np.sum(first * along, axis=1)
+    foot = first + at_source[:, None] * along
+    off_source = np.linalg.norm(foot, axis=1)
+    forward, square = direct @ along.T, np.sum(direct**2, axis=1)[:, None]
+    off_place = np.sqrt(np.maximum(square - forward**2 - 2 * direct @ foot.T + off_source**2, 0))
+    at = at_source + forward * off_source / np.maximum(off_source + off_place, 1e-300)
+    depth = (direct @ first.T + at * forward) / square
+    cell, edge = np.nonzero((at >= 0) & (at <= length) & (depth > 0) & (depth < 1))
+    return cell, edge
+
+
+def _over(rim: Outline, edge: Indices, direct: Array, straight: Array) -> tuple[Array, Array]:
+    """By how much paths over the lines of edges (n,) to the ends of vectors (n, 3) are longer, and
+    unit vectors from there to the edge.
+    """
+    first, side = rim.ends[edge, 0], rim.ends[edge, 1] - rim.ends[edge, 0]
+    along = side / np.linalg.norm(side, axis=1)[:, None]
+    at_source = -np.sum(first * along, axis=1)
+    foot = first + at_source[:, None] * along
+    off_source = np.linalg.norm(foot, axis=1)
+    forward = np.sum(direct * along, axis=1)
+    off_place = np.linalg.norm(direct - forward[:, None] * along - foot, axis=1)
+    share = off_source / np.maximum(off_source + off_place, 1e-300)
+    towards = foot + (forward * share)[:, None] * along - direct
+    distance = np.linalg.norm(towards, axis=1)
+    longer = np.maximum(np.hypot(off_source + off_place, forward) - straight, 0)
+    return longer, towards / np.maximum(distance, 1e-300)[:, None]
+
+
+def _rms(length: Array, wave: Complex) -> float:
+    """Over the band, of waves (n,) by their path lengths."""
+    if not len(wave):
+        return 0.0
+    _, number = np.unique(np.floor(length / _BIN_M).astype(np.int64), return_inverse=True)
+    sums = np.bincount(number, wave.real) + 1j * np.bincount(number, wave.imag)
+    return float(np.linalg.norm(sums))
