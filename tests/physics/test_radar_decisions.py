@@ -406,7 +406,7 @@ def test_assumptions_count_what_decisions_left_out() -> None:
     """Edges and waves round obstacles, of posts that shade each other from near to far."""
     posts = [
         quad(f"post {k}", [[x, y, -1], [x, y + 0.1, -1], [x, y + 0.1, 1], [x, y, 1]])
-        for k, (x, y) in enumerate([(5, -0.3), (9, -0.4), (20, 0.5), (2000, 9.0), (4000, -9.0)])
+        for k, (x, y) in enumerate([(3, 1.0), (9, -0.4), (20, 0.5), (2000, 9.0), (4000, -9.0)])
     ]
     found = trace(world(*posts), RADAR, fidelity=DEFAULT)
     (said,) = (text for text in found.assumptions if text.startswith("left out of meshes"))
@@ -418,7 +418,7 @@ def test_assumptions_count_what_decisions_left_out() -> None:
         for effect, decision in waves.items()
         if not decision.taken and effect.removeprefix("further ") not in waves
     ]
-    assert int(told["edges"]) == sum(not taken for taken in edges.values()) == 2
+    assert int(told["edges"]) == sum(not taken for taken in edges.values()) == 1
     assert int(told["waves"]) == len(without) == 1
 
 
