@@ -123,6 +123,14 @@ def test_no_object_is_the_background_alone() -> None:
         np.testing.assert_allclose(found, alone, atol=0.05 * np.ptp(alone))
 
 
+def test_edges_within_half_cells_are_told() -> None:
+    knobs = Compensation(error_samples=0, prior_rows=0)
+    for edges, rounded in (((3.0, 2.5, 9.0, 8.5), 0), ((3.2, 2.9, 9.7, 9.1), 1)):
+        layers = Layers(BACKGROUND, (MovingBox(*edges, OBJECT),))
+        told_of = reconstruct(record(64), motion=layers, compensation=knobs).warnings
+        assert sum("edges of boxes are rounded to 1/2" in one for one in told_of) == rounded
+
+
 def test_boxes_that_hide_each_other() -> None:
     """The first is in front."""
     near, far = MovingBox(0, 0, 4, 4, Shift(0, 2)), MovingBox(0, 0, 8, 8, Shift(0, -2))

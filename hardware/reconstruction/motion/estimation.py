@@ -56,13 +56,12 @@ class Search:
     evidence
         Least gain of the log-likelihood over rest, and over the opposite velocity: detail that the
         prior does not expect makes any motion likelier than rest, but forth as much as back. None
-        of the 10 frames at rest of five pictures
-        that nothing was tuned on, noise of 0.1 and 0.01 of their range, full sets of the order
-        ``interleaved``, is taken for moving (below 26 % with 95 % confidence; gains up to 17.7
-        where the next condition holds too). Of the same moving by 20 cells, four pass with
-        velocities within a cell a frame, a brick wall does not. A full set in the order of sequency
-        tells little, and may pass with a velocity that is off by 6. Motion too small to pass is
-        left in the image.
+        of the 10 frames at rest of five pictures that nothing was tuned on, noise of 0.1 and 0.01
+        of their range, full sets of the order ``interleaved``, is taken for moving (below 26 % with
+        95 % confidence; gains up to 17.7 where the next condition holds too). Of the same moving by
+        20 cells, four pass with velocities within a cell a frame, a brick wall does not. A full set
+        in the order of sequency tells little, and may pass with a velocity that is off by 6. Motion
+        too small to pass is left in the image.
     evidence_beside
         Least gain over velocities 6 cells a frame beside the best.
     prediction

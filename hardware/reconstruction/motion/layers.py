@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.reconstruction.motion.grid import Grid
 from hardware.reconstruction.motion.model import Motion, Translation, all_finite
 
 Array = NDArray[np.float64]
 
 #: Cells between the background and an object on the grid: the prior ties what is beside each other.
 _GAP = 4
+#: Parts of an unknown that an edge may lie off its border.
+_ROUNDED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,10 @@ class MovingBox:
     motion
         How it moves.
 
-    Light of the background within the box is taken as moving with it: the tighter, the better.
+    Edges are rounded to the unknowns' size, half a cell unless ``Compensation.oversampling`` says
+    otherwise; standard errors leave that out, and a warning says so where it happens within the
+    image at the reference time. Light of the background within the box is taken as moving with
+    it: the tighter, the better.
     """
 
     top: float
@@ -88,6 +94,19 @@ class Layers(Motion):
     def parts(self) -> tuple[Motion, ...]:
         """See `Motion.parts`."""
         return (self.background, *(one.motion for one in self.objects))
+
+    def is_rounded(self, oversampling: int, grid: Grid) -> bool:
+        """Whether an edge within the image at the reference time lies within an unknown."""
+        for box in self.objects:
+            low, high = np.array([box.top, box.left]), np.array([box.bottom, box.right])
+            end = np.array([grid.rows, grid.columns]) - 0.5
+            if (high <= -0.5).any() or (low >= end).any():
+                continue
+            for edge in (low, high):
+                at = (edge + 0.5) * oversampling
+                if ((edge > -0.5) & (edge < end) & (np.abs(at - np.rint(at)) > _ROUNDED)).any():
+                    return True
+        return False
 
     def on_grid(self, times_s: Array, places: Array, shape: tuple[int, int]) -> list[Array]:
         """Sources as `sources` has them at each time, objects moved to places of their own below
