@@ -86,9 +86,12 @@ class Layout:
 def write(layout: Layout, record: Any, path: str | Path) -> None:
     """Write a record; an existing file is replaced at the very end, or not at all.
 
-    The same record gives the same bytes.
+    The same record gives the same bytes. Raises InputError for a path in the record's place.
     """
     import h5py
+
+    if isinstance(record, str | Path):
+        raise InputError(f"record: {str(record)!r:.60}, expected a record, and its path after it")
 
     # In memory first: where the disk fills up, HDF5 cannot close its file and takes the process
     # with it.

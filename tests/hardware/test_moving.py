@@ -22,6 +22,7 @@ from hardware import (
     Shift,
     ShiftTrack,
     reconstruct,
+    write_record,
 )
 from hardware.patterns import hadamard_rows
 from hardware.reconstruction.cosine import filtered
@@ -377,6 +378,12 @@ def test_wrong_arguments_are_named(wrong, told: str) -> None:
     record = moving_record(moving, PatternSet(N, N, 16))
     with pytest.raises(InputError, match=f"^{told}"):
         reconstruct(record, **wrong())
+
+
+def test_a_record_in_the_place_of_its_path_is_named() -> None:
+    record = moving_record(moving, PatternSet(N, N, 16))
+    with pytest.raises(InputError, match=r"^record: .*r\.h5', expected a record"):
+        write_record("r.h5", record)  # type: ignore[arg-type]
 
 
 def test_walsh_rows_of_products() -> None:
