@@ -444,7 +444,15 @@ IDENTITY = RigidTransform.identity()
 # -- other systems --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["line", "time of flight", "fog", "scan"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "line",
+        pytest.param("time of flight", marks=pytest.mark.slow),
+        pytest.param("fog", marks=pytest.mark.slow),
+        "scan",
+    ],
+)
 def test_other_systems_see_what_moves_too(
     kind: str, other_systems: Callable[[str], System]
 ) -> None:
