@@ -10,14 +10,14 @@ PIP_FLAGS := -q --disable-pip-version-check
 # Files of tests side by side: fixtures that a file shares are made once.
 TOGETHER := -n 2 --dist loadfile
 
-.PHONY: demo test test-vehicle test-slow test-peers test-browser test-pages lint docs docs-links notebooks bench extremes install clean
+.PHONY: demo test test-vehicle test-slow test-peers test-browser test-whole lint docs docs-links notebooks bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
 
 # What the vehicle's environment has run is not run again.
 test: install lint test-vehicle
-	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not browser and not pages and not vehicle'
+	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not browser and not whole and not vehicle'
 
 # The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed
@@ -40,9 +40,9 @@ test-browser: $(BROWSER)/.installed runs/yard-workable/report.html
 runs/yard-workable/report.html:
 	$(MAKE) demo
 
-# Tutorials and how-to pages as they stand, each command of them.
-test-pages: install
-	$(BIN)/pytest -n 2 -m 'pages and not slow'
+# Tutorials, how-to pages and notebooks as they stand; whole commands and studies.
+test-whole: install
+	$(BIN)/pytest -n 2 -m 'whole and not slow'
 
 lint: install
 	$(BIN)/ruff check .

@@ -448,8 +448,8 @@ IDENTITY = RigidTransform.identity()
     "kind",
     [
         "line",
-        pytest.param("time of flight", marks=pytest.mark.slow),
-        pytest.param("fog", marks=pytest.mark.slow),
+        pytest.param("time of flight", marks=pytest.mark.whole),
+        pytest.param("fog", marks=pytest.mark.whole),
         "scan",
     ],
 )

@@ -318,6 +318,7 @@ def test_yard_targets_are_found_where_they_are(rung, off_m) -> None:
     assert rates.min() - 0.01 < car < rates.max() + 0.01
 
 
+@pytest.mark.whole
 def test_two_runs_have_the_same_bits() -> None:
     radar, scene = load_radar("hybrid-79-slow"), load_scene("yard")
     a, again = radar_capture(scene, radar, seed=1), radar_echo(scene, radar, seed=1)

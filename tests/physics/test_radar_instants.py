@@ -275,7 +275,7 @@ def test_what_passes_through_the_radar_has_finite_echoes_at_instants_of_its_own(
     assert taken.record.iq.any()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_what_passes_through_another_body_is_missed_in_the_middle_and_warned_of() -> None:
     """A ball at 60 m/s that is within a larger one then, and beside it at both ends."""
     fly = ball("fly", (6.0, 0.0, 0.0), 0.1, 3).following(Straight((0.0, 60.0, 0.0)))

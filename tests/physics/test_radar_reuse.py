@@ -300,6 +300,7 @@ def test_a_body_that_a_flash_outshone_answers_when_that_has_ended(change: str) -
     assert np.sqrt(np.mean(np.abs(here - there) ** 2)) <= min(told_here, told_there)
 
 
+@pytest.mark.whole
 def test_what_a_flash_left_out_is_found_again_in_sweeps() -> None:
     """The first of a group of sweeps is the flash; the plate drives on, and a later sweep has the
     echoes of the ball, as the same one has that is traced by itself.

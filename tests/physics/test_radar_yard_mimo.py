@@ -8,6 +8,7 @@ from twin import load_radar, load_scene, radar_capture
 from twin.radar.evaluation import evaluate_radar
 
 
+@pytest.mark.whole
 def test_the_moving_car_has_its_own_rate() -> None:
     """1.44 m/s; the turns fold at 8.1, and one span more was given before."""
     radar = load_radar("hybrid-79-mimo")

@@ -70,7 +70,7 @@ def test_results_of_a_changed_function_are_not_mixed(folder: Path) -> None:
     assert psnr[1] < psnr[0] - 1
 
 
-@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.whole)])
 def test_a_study_in_python_takes_functions(tmp_path: Path, workers: int) -> None:
     study = Study(
         name="own",

@@ -31,7 +31,7 @@ def _study(**fields) -> Study:
     )
 
 
-@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.whole)])
 def test_functions_and_objects_in_this_process_and_in_another(tmp_path: Path, workers: int) -> None:
     """A function that closes over a value travels too; what it gives is what the object does."""
     factor = 2.0

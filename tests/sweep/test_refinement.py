@@ -186,7 +186,7 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     assert left > 10
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_rendered_points_far_from_the_front_are_left_coarse(
     study, a_worker: str, tmp_path: Path
 ) -> None:

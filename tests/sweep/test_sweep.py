@@ -481,6 +481,7 @@ def test_front_by_hand(study, tmp_path: Path) -> None:
         plot_plane(data, "snr", "distance")
 
 
+@pytest.mark.whole
 def test_radar_metrics_come_along(study, a_worker: str, tmp_path: Path) -> None:
     head = 'scene = "yard"\nmetrics = ["detections", "range_error_m"]\n'
     text = '[set]\n"radar.waveform.n_slots" = 64\n"fidelity.radar_tolerance" = 0.3\n'

@@ -119,7 +119,7 @@ def test_a_point_that_fails_leaves_the_others(study) -> None:
     assert np.isfinite(chunk.values["psnr_db"][[0, 2]]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_results_to_a_tolerance_do_not_depend_on_workers(study, tmp_path: Path) -> None:
     path = study(SENSORS, HEAD)
     run_sweep(path, out=tmp_path / "out", workers=2)

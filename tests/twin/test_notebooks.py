@@ -23,6 +23,7 @@ def kinds(book: Any) -> list[list[str]]:
     ]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_to_its_figures(path: Path) -> None:
     book = nbformat.read(path, as_version=4)

@@ -33,8 +33,20 @@ def block(page: str, name: str) -> str:
         ("docs/howto/accuracy.md", ["above their noise"]),
         ("docs/howto/micro_doppler.md", ["m/s"]),
         ("docs/howto/moving_images.md", ["True"]),
-        ("docs/howto/own_parts.md", ["(64, 64)", "within 8 m", "range_m=20.0", "range_m=5.63"]),
-        ("docs/howto/python.md", ["runs/yard_(changed)-workable_(changed)-alone-hybrid-79_(ch"]),
+        pytest.param(
+            *(
+                "docs/howto/own_parts.md",
+                ["(64, 64)", "within 8 m", "range_m=20.0", "range_m=5.63"],
+            ),
+            marks=pytest.mark.whole,
+        ),
+        pytest.param(
+            *(
+                "docs/howto/python.md",
+                ["runs/yard_(changed)-workable_(changed)-alone-hybrid-79_(ch"],
+            ),
+            marks=pytest.mark.whole,
+        ),
     ],
 )
 def test_python_examples_run(

@@ -98,6 +98,7 @@ def test_what_fails_in_few_seeds_fails_the_test(twin_truth, tmp_path: Path) -> N
         camera(lambda record: lmmse(record) + 0j)
 
 
+@pytest.mark.whole
 def test_what_a_detector_loses_or_shifts_fails_the_test(twin_truth, tmp_path: Path) -> None:
     """One target in one of four records, one detection more in one, all a range cell farther: the
     last reads nearer to the declared centres on the whole, and is no gain.

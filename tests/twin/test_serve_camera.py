@@ -356,6 +356,7 @@ def test_a_port_that_is_taken(world) -> None:
             TcpPort("127.0.0.1", port)
 
 
+@pytest.mark.whole
 def test_the_command(tmp_path: Path) -> None:
     """The settings that it writes are those of the system, and a driver measures with them."""
     settings = tmp_path / "camera.toml"

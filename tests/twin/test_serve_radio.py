@@ -542,6 +542,7 @@ def test_ugv_captures_and_processes_a_radio(scene, tmp_path: Path) -> None:
     assert "ugv_msgs/msg/RadarRecord" in ugv("info", run).stdout
 
 
+@pytest.mark.whole
 def test_the_command(tmp_path: Path) -> None:
     """`twin serve` says where it listens, writes what a driver needs, and ends on ctrl-C."""
     design = tmp_path / "small.toml"
@@ -589,6 +590,7 @@ def test_no_such_pace(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == "twin: error: pace: 'slow', expected real or fast\n"
 
 
+@pytest.mark.whole
 def test_sweeps_traced_together_depend_on_their_number_alone(scene) -> None:
     """The first of three is that of a capture bit for bit; the others, which keep a part of it,
     are the same in whatever order they are asked for, and the next one begins anew.

@@ -74,7 +74,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PATH": path, "PYTHONPATH": f"{ROOT}{os.pathsep}."}
 
 
-@pytest.mark.pages
+@pytest.mark.whole
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_runs(page: Path, tmp_path: Path, environment: dict[str, str]) -> None:
     text = page.read_text()
