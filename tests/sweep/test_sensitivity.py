@@ -86,6 +86,16 @@ def test_shares_of_a_product(tmp_path: Path, method: str, n: int) -> None:
     assert (error > -low).all()
 
 
+@pytest.mark.parametrize(("method", "n", "least"), [("sobol", 31, 32), ("saltelli", 8, 80)])
+def test_too_few_points_are_refused(tmp_path: Path, method: str, n: int, least: int) -> None:
+    """RBD-FAST draws halves of the points for its intervals, and divides by zero at 16 points."""
+    with pytest.raises(InputError, match=f"drawn points are left, expected {least} or more"):
+        sensitivities(run(tmp_path, method, n), "signal_e_per_s")
+    if method == "sobol":
+        shares = sensitivities(run(tmp_path, method, least), "signal_e_per_s")
+        assert all(np.isfinite([share.first, share.first_error]).all() for share in shares.values())
+
+
 def test_without_effect_is_zero_in_a_saltelli_sample(tmp_path: Path) -> None:
     """Crossings change such a parameter alone: not a bit of the metric moves."""
     share = sensitivities(run(tmp_path, "saltelli", 16), "signal_e_per_s")[NOTHING]

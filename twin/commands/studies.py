@@ -21,6 +21,7 @@ from twin.commands.arguments import (
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.figure import Figure
 
     from twin.fidelity import Accuracy
     from twin.sweep import Study
@@ -122,38 +123,91 @@ def show(
         Path | None, typer.Option(help="CSV file to write: the designs on the front.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="TOML file to write: system of the best point by the metric."),
+    ] = None,
+    point: Annotated[
+        int | None, typer.Option(help="Point to save in place of the best, by its number.")
+    ] = None,
 ) -> None:
     """Draw a sweep: a metric over parameters, what moves it most, or a Pareto front of two, whose
-    designs are listed.
+    designs are listed; and save a design as a system of one's own.
     """
     from twin.errors import InputError
     from twin.sweep import open_sweep
     from twin.sweep.dataset import metrics_of
-    from twin.sweep.sensitivity import sensitivities
-    from twin.sweep.show import plot_front, plot_plane, plot_sensitivities
+    from twin.sweep.show import plot_front, plot_plane
 
     data = open_sweep(sweep)
     metric = metric or metrics_of(data)[0]
     if csv is not None and front is None:
         raise InputError("--csv: are the designs on a front: --front METRIC")
+    if point is not None and save is None:
+        raise InputError("--point: is of the file to write: --save FILE.toml")
+    figure = None
     if front is not None:
         _tell_front(say, data, metric, front, void=void, csv=csv)
         figure = plot_front(data, metric, front, void=void)
     elif x is not None:
         figure = plot_plane(data, metric, x, y, void=void)
-    else:
-        shares = sensitivities(data, metric, void=void)
-        ordered = sorted(shares.items(), key=lambda item: -item[1].first)
-        for name, share in ordered:
-            say.verdict(f"{share}: {name}")
-        say.add(
-            metric=metric,
-            sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
-        )
-        figure = plot_sensitivities(data, metric, shares, void=void)
-    out = out or sweep / f"{metric.replace(':', '.')}.png"
-    figure.savefig(out, dpi=150)
-    say.written(out)
+    elif save is None:
+        figure = _tell_sensitivities(say, data, metric, void=void)
+    if figure is not None:
+        out = out or sweep / f"{metric.replace(':', '.')}.png"
+        figure.savefig(out, dpi=150)
+        say.written(out)
+    if save is not None:
+        _save_design(say, sweep, data, metric, point, void=void, path=save)
+
+
+def _tell_sensitivities(
+    say: Output, data: "xarray.Dataset", metric: str, *, void: bool
+) -> "Figure":
+    """What moves a metric most, as lines and as a picture."""
+    from twin.sweep.sensitivity import sensitivities
+    from twin.sweep.show import plot_sensitivities
+
+    shares = sensitivities(data, metric, void=void)
+    ordered = sorted(shares.items(), key=lambda item: -item[1].first)
+    for name, share in ordered:
+        say.verdict(f"{share}: {name}")
+    say.add(
+        metric=metric,
+        sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
+    )
+    return plot_sensitivities(data, metric, shares, void=void)
+
+
+def _save_design(
+    say: Output,
+    sweep: Path,
+    data: "xarray.Dataset",
+    metric: str,
+    point: int | None,
+    *,
+    void: bool,
+    path: Path,
+) -> None:
+    """A point, or the best, as files, and the command that runs them."""
+    from twin.sweep.chosen import best_point, check_point, chosen, is_coarse, write_chosen
+
+    if point is None:
+        best = best_point(data, metric, void=void)
+        point = best.point
+        near = f"; {best.n_as_good} more within the model's errors" if best.n_as_good else ""
+        say.verdict(f"best {metric}: point {point}{near}")
+    check_point(data, point)
+    if is_coarse(data, point):
+        say.warn(f"point {point}: was computed to a coarse tolerance alone; see its errors")
+    found = chosen(sweep, point, path)
+    write_chosen(found)
+    for file in found.files:
+        say.written(file)
+    if found.left_out:
+        say.line(f"note: of point {point}, in no file: {', '.join(found.left_out)}")
+    say.verdict(f"run it: {found.command}")
+    say.add(point=point, run=found.command, left_out=found.left_out)
 
 
 def _tell_front(

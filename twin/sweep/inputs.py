@@ -118,11 +118,12 @@ def inputs_of(study: Study) -> Inputs:
     digests = {_SOURCE: _source()} | {k: object_digest(v) for k, v in study.objects.items()}
     for kind, name in _named(study):
         if (key := f"{kind} {name}") not in digests:
-            digests[key] = _now(kind, name, study.folder)
+            digests[key] = digest_now(kind, name, study.folder)
     return Inputs(study.folder, digests, study.objects)
 
 
-def _now(kind: str, name: str, folder: Path) -> str:
+def digest_now(kind: str, name: str, folder: Path) -> str:
+    """Digest of an input as it is now, read anew; of what can't be read, of the error."""
     return (
         method_digest(name, folder)
         if kind == "method" and ":" not in name

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_LEAST = 16  # drawn points below which nothing is estimated
+#: Drawn points, of `saltelli` blocks, below which nothing is estimated. RBD-FAST estimates errors
+#: from halves of the points, which have to be many more than twice its harmonics (4).
+_LEAST_BLOCKS, _LEAST = 16, 32
 _MANY = 10_000  # from here on the interval is so narrow that a rough one does
 _Z95 = 1.96
 
@@ -85,10 +87,9 @@ def sensitivities(
     if design is None:
         return _of_grid(values, grid, table)
     table, design = _whole_rows(table, design)
-    if (n := table.shape[-1]) < _LEAST * design.block:
-        raise InputError(
-            f"{values.name}: {n} drawn points are left, expected {_LEAST * design.block} or more"
-        )
+    least = _LEAST_BLOCKS * design.block if design.method == "saltelli" else _LEAST
+    if (n := table.shape[-1]) < least:
+        raise InputError(f"{values.name}: {n} drawn points are left, expected {least} or more")
     independent = _independent(table, design)
     variance = _varying(values, independent)
     shares = _of_sample(table, design, variance, seed)

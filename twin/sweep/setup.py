@@ -47,7 +47,7 @@ class Setup:
 
 def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
     """Setup of a point. Raises InputError naming the parameter."""
-    groups = _groups(values)
+    groups = groups_of(values)
     radar = None
     if needs_radar(study.metrics):
         radar = _entry("radar", study.radar, groups.get("radar", {}), inputs)
@@ -67,11 +67,11 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
 
 def system_of(study: Study, values: Values, inputs: Inputs) -> System:
     """System of a point. Raises InputError naming the parameter."""
-    found: System = _entry("system", study.system, _groups(values).get("system", {}), inputs)
+    found: System = _entry("system", study.system, groups_of(values).get("system", {}), inputs)
     return found
 
 
-def _groups(values: Values) -> dict[str, Values]:
+def groups_of(values: Values) -> dict[str, Values]:
     """Values by the root of their names, each with the rest of its name."""
     groups: dict[str, Values] = {}
     for name, value in values.items():

@@ -50,10 +50,7 @@ class Store:
 
     def __init__(self, out: Path) -> None:
         self.out, plan = out, _read_plan(out)
-        try:
-            self.study = Study.model_validate({**plan["study"], "folder": plan["folder"]})
-        except ValidationError as error:
-            raise InputError(f"{out / 'study.json'}: study: {describe(error)}") from error
+        self.study = _study_of(out, plan)
         self.chunk: int = plan["chunk"]
         self._plan = plan
         try:
@@ -270,6 +267,24 @@ def _read_plan(out: Path) -> dict[str, Any]:
     if missing:
         raise InputError(f"{path}: lacks {', '.join(sorted(missing))}: of an older version")
     return plan
+
+
+def stored_study(out: Path) -> Study:
+    """The study that a folder's sweep is of. Raises InputError for a folder without one."""
+    return _study_of(out, _read_plan(out))
+
+
+def stored_inputs(out: Path) -> dict[str, str]:
+    """Digests of the inputs of a folder's sweep, by kind and name."""
+    found: dict[str, str] = _read_plan(out)["inputs"]
+    return found
+
+
+def _study_of(out: Path, plan: dict[str, Any]) -> Study:
+    try:
+        return Study.model_validate({**plan["study"], "folder": plan["folder"]})
+    except ValidationError as error:
+        raise InputError(f"{out / 'study.json'}: study: {describe(error)}") from error
 
 
 def stored_tolerance(out: Path) -> Fidelity | None:

@@ -1,0 +1,172 @@
+"""A point of a sweep as a system of one's own: the same values, and the command that runs it."""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studies import CLOSED, SMALL, write
+from typer.testing import CliRunner
+
+from twin.cli import app
+from twin.errors import InputError
+from twin.radar.device.design import load_radar
+from twin.sweep import load_study, open_sweep, run_sweep
+from twin.sweep.chosen import best_point, chosen, write_chosen
+from twin.sweep.inputs import inputs_of
+from twin.sweep.setup import system_of
+from twin.sweep.store import create_or_resume
+from twin.system import load_system
+
+MINE = 'base = "workable"\n[readout]\nread_noise_e = { value = 900, assumed = "a guess" }\n'
+GRID = """
+system = "parts/mine.toml"
+[grid]
+"system.optics.f_number" = [0.8, 1.4]
+"link.reflectance" = [0.2, 0.8]
+[[zip]]
+"system.detector.width_m" = ["500 um", "3 mm"]
+"system.detector.dark_current_a" = ["1 nA", "12 nA"]
+[sample]
+method = "sobol"
+n = 16
+[sample.ranges]
+"system.emitter.line_fwhm_m" = { low = "60 nm", high = "120 nm" }
+"""
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("chosen")
+    (folder / "parts").mkdir()
+    (folder / "parts" / "mine.toml").write_text(MINE)
+    study = load_study(write(folder, GRID, CLOSED))
+    return run_sweep(study, out=folder / "out", workers=0).out
+
+
+def show(*words: object):
+    return CliRunner().invoke(app, ["show", *map(str, words)])
+
+
+def test_a_saved_point_is_the_system_that_was_swept(swept: Path, tmp_path: Path) -> None:
+    """Every value to the last bit, above a file of one's own that lies elsewhere; what was swept
+    counts as assumed, with the point it is from.
+    """
+    study = load_study(swept.parent / "study.toml")
+    inputs = inputs_of(study)
+    for point in (0, 5, study.n_points - 1):
+        found = chosen(swept, point, tmp_path / "best.toml")
+        write_chosen(found)
+        saved = load_system(tmp_path / "best.toml")
+        expected = system_of(study, study.point(point), inputs)
+        assert [(n, v.value) for n, v in saved.values()] == [
+            (n, v.value) for n, v in expected.values()
+        ]
+        assert saved.name == "best"
+        assert saved.detector.width_m.assumed == f"out, point {point}"
+        assert saved.readout.read_noise_e.assumed == "a guess"
+    assert found.left_out == (f"link.reflectance = {study.point(point)['link.reflectance']:g}",)
+
+
+def test_the_best_point_is_that_of_most_or_least(swept: Path) -> None:
+    data = open_sweep(swept)
+    snr, time_s = (data[name].to_numpy().ravel() for name in ("snr", "minimum_time_s"))
+    assert snr[best_point(data, "snr").point] == snr.max()
+    assert time_s[best_point(data, "minimum_time_s").point] == time_s.min()
+
+
+def test_points_that_are_void_are_not_the_best_and_near_ones_are_told(swept: Path) -> None:
+    """Of those within the errors of the best each is counted."""
+    data = open_sweep(swept).load()
+    order = np.argsort(-data["snr"].to_numpy().ravel())
+    shape, dims = data["snr"].shape, data["snr"].dims
+    void = np.zeros(data["snr"].size, bool)
+    void[order[0]] = True
+    data["void"] = (dims, void.reshape(shape))
+    data["snr"].attrs["void"] = "void"
+    assert best_point(data, "snr").point == order[1]
+    assert best_point(data, "snr", void=True).point == order[0]
+    snr = data["snr"].to_numpy().ravel()
+    error = 0.51 * (snr[order[1]] - snr[order[3]])
+    data["snr.standard_error"] = (dims, np.zeros(shape))
+    data["snr.systematic"] = (dims, np.full(shape, error))
+    near = int((snr[order[2:]] >= snr[order[1]] - 2 * error).sum())
+    assert near >= 2
+    assert best_point(data, "snr").n_as_good == near
+
+
+def test_the_command_saves_it_and_says_how_it_is_run(swept: Path, tmp_path: Path) -> None:
+    words = [swept, "--metric", "snr", "--save", tmp_path / "best.toml", "--json"]
+    document = json.loads(show(*words).stdout)
+    data = open_sweep(swept)
+    assert document["point"] == best_point(data, "snr").point
+    assert document["written"] == [str(tmp_path / "best.toml")]
+    assert shlex.split(document["run"]) == [
+        "twin", "budget", "--system", str(tmp_path / "best.toml")
+    ]  # fmt: skip
+    assert document["left_out"] == ["link.reflectance = 0.8"]
+    other = show(*words, "--point", 3)
+    assert json.loads(other.stdout)["point"] == 3
+    assert "out, point 3" in (tmp_path / "best.toml").read_text()
+
+
+def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:
+    refused = show(swept, "--point", 3)
+    assert "--point: is of the file to write: --save" in str(refused.exception)
+    far = show(swept, "--save", tmp_path / "best.toml", "--point", 128)
+    assert "point = 128: expected 0 to 127" in str(far.exception)
+    assert not (tmp_path / "best.toml").exists()
+    study = load_study(write(tmp_path, '[grid]\n"link.distance_m" = [2, 5]\n', CLOSED))
+    out = run_sweep(study, out=tmp_path / "out", workers=0).out
+    with pytest.raises(InputError, match="differs in neither system nor radar: link"):
+        chosen(out, 0, tmp_path / "best.toml")
+
+
+def test_a_base_that_changed_since_is_refused(tmp_path: Path) -> None:
+    """Its values would not be those of the point."""
+    (tmp_path / "parts").mkdir()
+    mine = tmp_path / "parts" / "mine.toml"
+    mine.write_text(MINE)
+    out = run_sweep(load_study(write(tmp_path, GRID, CLOSED)), out=tmp_path / "out", workers=0).out
+    mine.write_text(MINE.replace("900", "901"))
+    with pytest.raises(InputError, match=r"system parts/mine.toml: is not, or no longer, a file"):
+        chosen(out, 0, tmp_path / "best.toml")
+
+
+def test_radar_parts_and_options_of_the_command(tmp_path: Path) -> None:
+    """A study need not have run for its points to be written down."""
+    text = SMALL.replace('["snr_median", "psnr_db"]', '["psnr_db", "range_error_m"]')
+    text += '"processing.method" = "tv"\n"fidelity.tolerance" = "0.5"\n"seed" = 7\n'
+    text = text.replace('"fidelity.samples" = 4\n"fidelity.max_depth" = 1\n', "")
+    text += (
+        '[grid]\n"radar.front_end.noise_figure_db" = [12, 15]\n"scene.rig.x_m" = [0.0, 1.0]\n'
+        '"system.detector.part" = ["fga015", "ingaas-apd-200"]\n'
+    )
+    folder = tmp_path / "out"
+    path = write(tmp_path, text, "")
+    study = load_study(path)
+    create_or_resume(study, folder, 16, inputs_of(study), {})
+    point = next(
+        i
+        for i in range(study.n_points)
+        if study.point(i)["system.detector.part"] == "ingaas-apd-200"
+        and study.point(i)["radar.front_end.noise_figure_db"] == 15
+        and study.point(i)["scene.rig.x_m"] == 1
+    )
+    found = chosen(folder, point, tmp_path / "best.toml")
+    write_chosen(found)
+    assert load_radar(tmp_path / "best-radar.toml").front_end.noise_figure_db.value == 15
+    expected = system_of(study, study.point(point), inputs_of(study))
+    assert load_system(tmp_path / "best.toml").detector == expected.detector
+    assert found.left_out == ("scene.rig.x_m = 1 m",)
+    words = shlex.split(found.command)
+    assert words[:3] == ["twin", "run", "table1"]
+    for option, value in (
+        ("--system", str(tmp_path / "best.toml")),
+        ("--radar", str(tmp_path / "best-radar.toml")),
+        ("--method", "tv"),
+        ("--tolerance", "0.5"),
+        ("--seed", "7"),
+    ):
+        assert words[words.index(option) + 1] == value
