@@ -28,7 +28,7 @@ from twin.fidelity import DEFAULT
 from twin.motion import Still, Turning
 from twin.radar import radar_capture
 from twin.radar.acquisition import channel
-from twin.radar.propagation.instants import traced_interval
+from twin.radar.propagation.interval.instants import traced_interval
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.scene import Scene, load_scene
 

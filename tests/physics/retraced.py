@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign
 from twin.radar.propagation.facets.convergence import band_of, reference_levels, summed_by
-from twin.radar.propagation.instants import weights
+from twin.radar.propagation.interval.instants import weights
 from twin.radar.propagation.result import Instant, Propagation
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.solvers import trace

@@ -23,7 +23,7 @@ from tests.physics.test_radar_rotation import ROWS, STILL, carried, dihedral, of
 from twin.motion import Product, Straight, Swinging, Trajectory, Turning
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import blended_channel, burst_channel
-from twin.radar.propagation.instants import traced_interval, weights
+from twin.radar.propagation.interval.instants import traced_interval, weights
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import trace

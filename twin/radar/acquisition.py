@@ -18,7 +18,7 @@ from twin.radar.device.burst import blended_channel, burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.diagnostics import assumptions, warnings
-from twin.radar.propagation.instants import traced_interval, weights
+from twin.radar.propagation.interval.instants import traced_interval, weights
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of
