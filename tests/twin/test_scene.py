@@ -80,6 +80,13 @@ def test_bundled_scenes_load_without_warnings(name: str) -> None:
     assert loaded.name == name
 
 
+def test_the_current_folder_goes_by_its_name(tmp_path: Path, monkeypatch) -> None:
+    """Titles, and the folder of a run's results, are of it."""
+    scene(tmp_path / "here")
+    monkeypatch.chdir(tmp_path / "here")
+    assert load_scene(".").name == "here"
+
+
 @pytest.mark.parametrize("name", ["yard", "table1"])
 def test_stock_mitsuba_opens_bundled_scenes_with_the_same_triangles(name: str) -> None:
     stock = mitsuba().load_file(str(scenes_folder() / name / "scene.xml"))

@@ -331,6 +331,28 @@ def test_prefetcher() -> None:
             prefetcher(3)
     with pytest.raises(EngineError, match="has died"):
         Prefetcher(dies)(0)
+    with pytest.raises(EngineError, match=r"has died: .*[Pp]ickl"):
+        Prefetcher(lambda number: number)(0)
+
+
+class SlowToSend:
+    """What takes half a second until it is on its way to another process."""
+
+    def __call__(self, number: int) -> int:
+        return number
+
+    def __getstate__(self) -> dict[str, object]:
+        time.sleep(0.5)
+        return {}
+
+
+def test_a_device_answers_while_its_processes_start() -> None:
+    """To start them takes seconds on a busy machine; a driver waits for two."""
+    since = time.monotonic()
+    prefetcher = Prefetcher(SlowToSend())
+    assert not prefetcher.ready(0, 0.0)
+    assert time.monotonic() - since < 0.4
+    prefetcher.close()
 
 
 def test_ugv_captures_and_processes_a_radio(scene, tmp_path: Path) -> None:

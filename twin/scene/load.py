@@ -96,7 +96,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         if document.emitters:
             warnings.append(f"light sources of the XML are not used: {_list(document.emitters)}")
     return Scene(
-        name=path.parent.name if path.name == "scene.xml" else path.stem,
+        name=path.parent.resolve().name if path.name == "scene.xml" else path.stem,
         path=path,
         description=settings.description if settings else "",
         objects=objects,

@@ -18,6 +18,7 @@ from twin.files import InputError
 
 _Item = TypeVar("_Item")
 
+_SPAWN = multiprocessing.get_context("spawn")
 _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
 
 
@@ -34,19 +35,27 @@ class Prefetcher(Generic[_Item]):
     """
 
     def __init__(self, make: Callable[[int], _Item]) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self._lines: list[Connection] = []
+        self._closed = False
+        self._failure = ""
+        count = min(_MOST_PROCESSES, os.cpu_count() or 1)
+        pipes = [_SPAWN.Pipe() for _ in range(count)]
+        self._lines: list[Connection] = [ours for ours, _ in pipes]
+        for number, line in enumerate(self._lines):
+            line.send(number)
+        # To start a process takes seconds on a busy machine, and a device has to answer meanwhile.
+        ends = [theirs for _, theirs in pipes]
+        threading.Thread(target=self._start, args=(make, ends), daemon=True).start()
+
+    def _start(self, make: Callable[[int], _Item], ends: list[Connection]) -> None:
         # Ctrl-C goes to all processes of a terminal: it is left to this one.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            for number in range(min(_MOST_PROCESSES, os.cpu_count() or 1)):
-                ours, theirs = spawn.Pipe()
-                spawn.Process(target=_work, args=(theirs, make), daemon=True).start()
-                theirs.close()
-                ours.send(number)
-                self._lines.append(ours)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        for theirs in ends:
+            try:
+                if not self._closed and not self._failure:
+                    _SPAWN.Process(target=_work, args=(theirs, make), daemon=True).start()
+            except Exception as error:  # what cannot be pickled, no memory
+                self._failure = f": {type(error).__name__}: {error}"
+            theirs.close()
 
     def __call__(self, number: int) -> _Item:
         """One item; after a failure, another request computes it again.
@@ -58,7 +67,7 @@ class Prefetcher(Generic[_Item]):
             item, error = line.recv()
             line.send(number if error else number + len(self._lines))
         except (EOFError, OSError):
-            raise EngineError("the process that computes it has died") from None
+            raise EngineError(f"the process that computes it has died{self._failure}") from None
         if error:
             raise error
         return item
@@ -69,6 +78,7 @@ class Prefetcher(Generic[_Item]):
 
     def close(self) -> None:
         """End the processes; any number of times. No item can be requested afterwards."""
+        self._closed = True
         for line in self._lines:
             line.close()
 
