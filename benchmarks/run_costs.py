@@ -112,7 +112,7 @@ def costs(scene: str, folder: Path) -> dict[str, float]:
 
 
 def _part(stage: str, of_radar: tuple[str, ...]) -> str:
-    if stage == "figures":
+    if stage == "charts":
         return "report"
     return "radar" if stage in of_radar else "light"
 

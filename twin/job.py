@@ -62,6 +62,7 @@ def run(
     fidelity: Accuracy | None = None,
     paths: bool = False,
     sigmf: bool = False,
+    figures: bool = False,
     method: str | Method | Solve | None = None,
     detection: str | Detect | None = None,
     command: str | None = None,
@@ -92,7 +93,8 @@ def run(
         model may add. Default: light to a fifth of the sensor's noise, echoes as in `standard`.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
-
+    figures
+        Also draw figures as PNG files; the report draws its own charts.
     method
         A reconstruction shown beside the bundled ones: a name, a function, ``file.py:function``,
         see `hardware.reconstruct`.
@@ -116,7 +118,7 @@ def run(
         raise InputError(f"seed: {seed}: expected 0 or more")
     solve, how = _own(method, detection)
     knobs = knobs_of(fidelity, design.total_bandwidth_hz if design else None)
-    with Stages(len(stage_names(systems, design))) as stages:
+    with Stages(len(stage_names(systems, design, figures=figures))) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)
             world = replace(world, track=track) if track else world
@@ -147,11 +149,16 @@ def run(
                 echoes = _radar(world, design, weather, seed, knobs, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
             write_summary(evaluations, echoes, partial)
+            if figures:
+                with stages.stage("figures"):
+                    _write_figures(view, evaluations, echoes, partial)
             write_report(world, view, evaluations, echoes, settings, stages, partial)
     return Result(world, view, evaluations, echoes, folder, stages.seconds)
 
 
-def stage_names(systems: Sequence[System], radar: RadarDesign | None) -> list[str]:
+def stage_names(
+    systems: Sequence[System], radar: RadarDesign | None, *, figures: bool = False
+) -> list[str]:
     """Stages of a run, in their order."""
     names = ["load"]
     if systems:
@@ -161,7 +168,7 @@ def stage_names(systems: Sequence[System], radar: RadarDesign | None) -> list[st
         names.append("view")
     if radar:
         names += [*RADAR_STAGES, "radar processing"]
-    return [*names, "figures"]
+    return [*names, *(["figures"] if figures else []), "charts"]
 
 
 def _own(
@@ -225,6 +232,17 @@ def _write_radar(radar: RadarEvaluation, folder: Path, *, paths: bool, sigmf: bo
         write_paths(radar.capture.propagation.paths, folder / "paths.csv")
     if sigmf:
         export_sigmf(radar.capture.record, folder / "radar")
+
+
+def _write_figures(
+    view: View | None,
+    evaluations: Sequence[Evaluation],
+    radar: RadarEvaluation | None,
+    folder: Path,
+) -> None:
+    from twin.report.drawings import write_figures  # loads Matplotlib, which takes half a second
+
+    write_figures(view, evaluations, radar, folder)
 
 
 def _systems(

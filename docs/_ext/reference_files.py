@@ -12,7 +12,7 @@ from pydantic_core import PydanticUndefined
 from tables import table
 
 from hardware.units import unit_of
-from twin.toml import Sourced, Strict, plain
+from twin.toml import Sourced, Strict, meanings, plain
 
 HEADS = ("key", "unit", "default", "values", "meaning")
 _SIGNS = {"gt": "> {}", "ge": "≥ {}", "lt": "< {}", "le": "≤ {}"}
@@ -122,9 +122,8 @@ def _sections(model: type[BaseModel], place: str, skip: set[str]) -> Iterator[st
         else:
             key, kind = inner
             below.append((key.format(".".join(filter(None, [place, name]))), kind))
-            rows.append(
-                (f"`[{below[-1][0]}]`", "", _default(field), "section", field.description or "")
-            )
+            meaning = meanings(model).get(name, "")
+            rows.append((f"`[{below[-1][0]}]`", "", _default(field), "section", meaning))
     heading = f"\n## `[{place}]`\n\n" if place else "\n## Top level\n\n"
     yield heading + _first_paragraphs(model) + "\n\n" + table(HEADS, rows)
     if rivals := getattr(model, "alternatives", ()):
@@ -141,7 +140,7 @@ def row_of(model: type[BaseModel], name: str, field: FieldInfo) -> tuple[str, ..
         least, most = model.limits[name]
         values = f"{least:g} to {most:g}"
     unit = unit_of(name) or ""
-    return (f"`{name}`", unit, _default(field), values, field.description or "")
+    return (f"`{name}`", unit, _default(field), values, meanings(model).get(name, ""))
 
 
 def values_of(annotation: Any, metadata: Any = ()) -> str:

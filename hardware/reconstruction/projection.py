@@ -47,10 +47,11 @@ class _Projection:
         self.values, self.radius, self.sensing = values, radius, sensing
 
     def __call__(self, cells: Array) -> Array:
-        misfit = self.values - self.sensing.forward(cells)
+        misfit = self.values - self.sensing.forward(cells, repeated=True)
         size = np.sqrt(np.einsum("ij,ij->j", misfit, misfit))
         excess = np.maximum(1 - self.radius / np.maximum(size, 1e-300), 0.0)
-        return cells + self.sensing.adjoint(misfit * (excess / self.sensing.n_cells))
+        step = misfit * (excess / self.sensing.n_cells)
+        return cells + self.sensing.adjoint(step, repeated=True)
 
 
 class _ProductProjection:

@@ -104,20 +104,22 @@ class Sensing:
             return np.arange(self.patterns.n_cells)
         raise InputError("patterns: are a user's own, expected rows of the Hadamard matrix")
 
-    def forward(self, cells: Array) -> Array:
-        """Noise-free measurements ``(count, ...)`` of cells ``(n_cells, ...)``."""
+    def forward(self, cells: Array, *, repeated: bool = False) -> Array:
+        """Noise-free measurements ``(count, ...)`` of cells ``(n_cells, ...)``; ``repeated``: as in
+        `fwht_in_place`.
+        """
         if self.is_dense:
             return np.asarray(np.tensordot(self._dense, cells, 1))
         x = np.array(cells, dtype=np.float64, order="C")
-        return np.asarray(fwht_in_place(x)[self.indices])
+        return np.asarray(fwht_in_place(x, repeated=repeated)[self.indices])
 
-    def adjoint(self, values: Array) -> Array:
+    def adjoint(self, values: Array, *, repeated: bool = False) -> Array:
         """Transpose of `forward`: ``(count, ...)`` to ``(n_cells, ...)``."""
         if self.is_dense:
             return np.asarray(np.tensordot(self._dense.T, values, 1))
         coefficients = np.zeros((self.n_cells, *values.shape[1:]))
         coefficients[self.indices] = values
-        return fwht_in_place(coefficients)
+        return fwht_in_place(coefficients, repeated=repeated)
 
     @property
     def measured(self) -> NDArray[np.bool_]:

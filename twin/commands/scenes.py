@@ -52,6 +52,9 @@ def run(
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw PNG files beside the report.")
+    ] = False,
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
@@ -103,6 +106,7 @@ def run(
         fidelity=knobs.with_(radar=radar_model) if radar_model else knobs,
         paths=paths,
         sigmf=sigmf,
+        figures=figures,
         method=method,
         detection=detection,
         command=shlex.join(["twin", *sys.argv[1:]]),

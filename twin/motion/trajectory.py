@@ -3,16 +3,18 @@
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, RotationSpline
 
 from twin.files import InputError
 from twin.motion.kinematics import Array, Kinematics
 from twin.motion.motion import EVER, Motion
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 #: What is beyond the first and the last pose: an error, the pose held, on at the velocities of the
 #: end, or again from the start.
@@ -142,7 +144,9 @@ class Trajectory(Motion):
         return Rotation.from_quat(self.quaternions, scalar_first=True)
 
     @cached_property
-    def _places(self) -> CubicSpline:
+    def _places(self) -> "CubicSpline":
+        from scipy.interpolate import CubicSpline  # takes 0.15 s to import
+
         if self.outside != "repeat" or len(self.times_s) == 2:
             return CubicSpline(self.times_s, self.positions_m)
         closed = np.concatenate([self.positions_m[:-1], self.positions_m[:1]])

@@ -16,6 +16,27 @@ Array = NDArray[np.float64]
 Chart = dict[str, Any]
 
 _DIGITS = 6
+#: Colours of levels, from least to greatest, each as red, green and blue of 8 bits: 17 of the map
+#: `cividis` (Nunez et al., PLOS ONE 2018, doi 10.1371/journal.pone.0199239), as Matplotlib has it.
+HEAT = (
+    (0, 34, 77),
+    (0, 45, 105),
+    (26, 56, 111),
+    (49, 67, 108),
+    (67, 78, 107),
+    (82, 89, 108),
+    (97, 100, 111),
+    (110, 112, 115),
+    (124, 123, 120),
+    (139, 135, 120),
+    (155, 147, 118),
+    (171, 160, 114),
+    (187, 173, 108),
+    (204, 187, 99),
+    (222, 201, 87),
+    (239, 216, 70),
+    (253, 231, 55),
+)
 
 
 def axis(name: str, low: float, high: float) -> dict[str, Any]:
@@ -88,14 +109,6 @@ def layer(
         "dashed": dashed,
         "off": off,
     }
-
-
-def heat_stops() -> list[list[int]]:
-    """Colours of levels, from least to greatest, each as red, green and blue of 8 bits."""
-    from matplotlib import colormaps
-
-    stops = colormaps["cividis"](np.linspace(0, 1, 17), bytes=True)[:, :3]
-    return [[int(part) for part in stop] for stop in stops]
 
 
 def numbers(values: Any) -> list[float | None]:

@@ -1,7 +1,5 @@
-"""Assembles the self-contained HTML page of figures and tables."""
+"""Assembles the self-contained HTML page of charts and tables."""
 
-import base64
-import io
 import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -9,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from hardware.formatting import json_text, number, quantity_text, setting_text, si
 from twin.accuracy import Interval
@@ -20,15 +16,7 @@ from twin.errors import InputError
 from twin.optics.hazards import least_margins
 from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
-from twin.report import (
-    camera_charts,
-    charts,
-    decisions,
-    figures,
-    overview,
-    radar_charts,
-    radar_figures,
-)
+from twin.report import camera_charts, charts, decisions, overview, radar_charts
 from twin.report.findings import camera_finding
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import radar_summary
@@ -48,23 +36,15 @@ def write_report(
     stages: Stages,
     folder: Path,
 ) -> None:
-    """Write ``report.html`` and its figures as PNG files to ``folder``.
+    """Write ``report.html`` to ``folder``.
 
     Without a view and evaluations it is the report of a radar alone. ``asked``: what stands in
     ``run.json``, its seed, command and versions among them.
     """
     import jinja2
 
-    with stages.stage("figures"):
-        drawn: dict[str, Figure] = {}
-        if view:
-            drawn |= _drawn_by_light(view, evaluations)
-        if radar:
-            drawn |= _drawn_by_radar(radar)
-        images = {name: _png(figure) for name, figure in drawn.items()}
+    with stages.stage("charts"):
         plots = _charts(scene, view, evaluations, radar)
-    for name, data in images.items():
-        (folder / f"{name}.png").write_bytes(data)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATE),
         autoescape=True,
@@ -75,7 +55,7 @@ def write_report(
     content = {
         "charts": {name: chart for group in plots.values() for name, chart in group.items()},
         "scene": scene_model(scene, evaluations, radar),
-        "heat": charts.heat_stops(),
+        "heat": charts.HEAT,
     }
     page = environment.get_template("report.html.j2").render(
         scene=scene,
@@ -87,7 +67,6 @@ def write_report(
         noises=[(e.system.name, _noises(e)) for e in evaluations],
         plots=plots,
         content=_script_safe(json_text(content)),
-        picture=base64.b64encode(images["radar_image"]).decode() if "radar_image" in images else "",
         settings=[(d, _settings(d)) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
@@ -119,6 +98,8 @@ def _charts(
         groups["light"] = list(camera_charts.light_charts(view))
     if radar:
         groups["map"] = [radar_charts.map_chart(radar)]
+        if radar.picture:
+            groups["track"] = [radar_charts.track_chart(radar.picture)]
         groups["cuts"] = radar_charts.cut_charts(radar)
         groups["micro"] = radar_charts.micro_doppler_charts(radar)
     return {
@@ -138,38 +119,6 @@ def _noises(evaluation: Evaluation) -> list[tuple[str, str, float]]:
 def _script_safe(text: str) -> str:
     """JSON that no end of a script's tag can stand in."""
     return text.replace("<", "\\u003c")
-
-
-def _drawn_by_light(view: View, evaluations: Sequence[Evaluation]) -> dict[str, Figure]:
-    first = evaluations[0]
-    return {
-        "headline": figures.headline(view, evaluations),
-        "scene": figures.scene_view(view),
-        "truth": figures.truth(first),
-        "reconstruction": figures.reconstructions(first),
-        "snr": figures.snr_maps(evaluations),
-        "signal": figures.signal(first),
-    }
-
-
-def _drawn_by_radar(radar: RadarEvaluation) -> dict[str, Figure]:
-    drawn = {
-        "range_doppler": radar_figures.radar_map(radar),
-        "radar_cuts": radar_figures.radar_cuts(radar),
-    }
-    if radar.micro_doppler:
-        drawn["micro_doppler"] = radar_figures.micro_doppler(radar)
-    if radar.picture:
-        drawn["radar_image"] = radar_figures.track_image(radar.picture)
-    return drawn
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    # What `savefig` writes, without its rehearsal of every figure.
-    canvas = FigureCanvasAgg(figure)
-    canvas.print_png(buffer, metadata={"Software": None}, pil_kwargs={"compress_level": 3})
-    return buffer.getvalue()
 
 
 def _designs(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> list[Any]:

@@ -10,6 +10,7 @@ from hardware.formatting import number
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.micro_doppler import MicroDoppler
+from twin.radar.picture import TrackPicture
 from twin.report import charts
 from twin.report.extent import folded, mover_row, shown_ranges, shown_rates, top_range_m
 
@@ -17,6 +18,7 @@ Array = NDArray[np.float64]
 
 _MOST_CELLS = 400_000  # of the map on the page; of a larger one the strongest of neighbours
 _BELOW_DB = -3.0  # below the noise, from which the colours begin
+_TRACK_DB = 20.0  # below the peak of a track's image, from which they begin
 
 
 def map_chart(evaluation: RadarEvaluation) -> charts.Chart:
@@ -67,6 +69,43 @@ def map_chart(evaluation: RadarEvaluation) -> charts.Chart:
                 ),
             ),
         ],
+    }
+
+
+def track_chart(track: TrackPicture) -> charts.Chart:
+    """Back-projection over a track from above, with true outlines and what is taken for targets."""
+    image = track.image
+    with np.errstate(divide="ignore"):
+        levels = 20 * np.log10(np.abs(image.value))
+    down, cross = _borders(image.down_range_m), _borders(image.cross_range_m)
+    down_cm, cross_cm = 100 * image.down_resolution_m, 100 * image.cross_resolution_m
+    layers = [
+        charts.layer(
+            "true outline",
+            *np.vstack([outline, outline[:1], [[np.nan, np.nan]]]).T,
+            colour="orange",
+            texts=[name] * (len(outline) + 2),
+        )
+        for name, outline in track.outlines.items()
+    ]
+    seen = charts.layer(
+        "taken for a true target",
+        [s.down_range_m for s in track.seen],
+        [s.cross_range_m for s in track.seen],
+        mark="ring",
+        colour="white",
+        texts=[s.name for s in track.seen],
+    )
+    return {
+        "title": f"over the track: resolution {down_cm:.0f} cm ahead, {cross_cm:.1f} cm across",
+        "equal": True,
+        "axes": True,
+        "x": charts.axis("down-range (m)", *down),
+        "y": charts.axis("cross-range (m), positive to the left", *cross),
+        "image": charts.raster(
+            (levels - levels.max()).T, down, cross, -_TRACK_DB, 0.0, "dB over the peak"
+        ),
+        "layers": [*layers, seen],
     }
 
 

@@ -3,6 +3,7 @@
 from twin.toml.entries import Entry, changed_name, check_changes
 from twin.toml.faults import describe, no_such_field
 from twin.toml.loading import bundled, load_entry, names_file, placed, read_toml
+from twin.toml.meanings import meanings
 from twin.toml.sections import (
     Count,
     Finite,
@@ -30,6 +31,7 @@ __all__ = [
     "check_changes",
     "describe",
     "load_entry",
+    "meanings",
     "names_file",
     "no_such_field",
     "placed",

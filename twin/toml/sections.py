@@ -19,6 +19,7 @@ from pydantic import (
 from hardware.units import quantity, unit_of
 from twin.files import InputError
 from twin.toml.faults import describe
+from twin.toml.meanings import meanings
 
 T = TypeVar("T")
 
@@ -54,7 +55,7 @@ class Strict(BaseModel):
     alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
@@ -83,12 +84,14 @@ class Strict(BaseModel):
         cls, schema: Any, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         found = handler(schema)
-        properties = handler.resolve_ref_schema(found).get("properties", {})
+        properties, meaning = handler.resolve_ref_schema(found).get("properties", {}), meanings(cls)
         for name, field in cls.model_fields.items():
             if name in properties and holds_numbers(field.annotation):
                 form = "" if issubclass(cls, Sourced) else cls.form_of(name)  # its field says it
-                said = " ".join(filter(None, [field.description, form]))
+                said = " ".join(filter(None, [meaning.get(name), form]))
                 properties[name] = _with_text(properties[name]) | {"description": said}
+            elif name in properties and name in meaning:
+                properties[name]["description"] = meaning[name]
         for entry in properties.values():
             if "description" in entry:  # no lines of the source's width
                 entry["description"] = " ".join(entry["description"].split())
@@ -204,9 +207,6 @@ def fields_set(section: BaseModel) -> dict[str, Any]:
 
 class Sourced(Strict, Generic[T]):
     """A value with where it comes from: a source, or the reason why it is assumed."""
-
-    # Docstrings below fields would be looked for, in vain, for each class such as `Sourced[float]`.
-    model_config = ConfigDict(use_attribute_docstrings=False)
 
     value: T = Field(description="The value itself.")
     source: Words | None = Field(default=None, description="Where the value was read.")

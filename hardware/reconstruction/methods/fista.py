@@ -45,8 +45,9 @@ def fista(
     current = down @ start.reshape(sensing.shape) @ along.T
     ahead, t = current, 1.0
     for _ in range(iterations):
-        residual = values - sensing.forward((down.T @ ahead @ along).ravel())
-        gradient = sensing.adjoint(residual).reshape(sensing.shape) / lipschitz
+        picture = (down.T @ ahead @ along).ravel()
+        residual = values - sensing.forward(picture, repeated=True)
+        gradient = sensing.adjoint(residual, repeated=True).reshape(sensing.shape) / lipschitz
         moved = ahead + down @ gradient @ along.T
         new = moved - np.clip(moved, -thresholds, thresholds)
         t, earlier = (1 + np.sqrt(1 + 4 * t * t)) / 2, t
