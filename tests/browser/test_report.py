@@ -210,6 +210,39 @@ def test_marks_of_a_chart_are_switched_and_zoomed(page: Opened) -> None:
     assert alike(page.pixels(canvas), before)
 
 
+def test_no_table_is_cut_off(page: Opened) -> None:
+    """On a narrow page a row becomes a block: nothing of it lies beyond the page's edge."""
+    page.page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    cut = page.page.evaluate(
+        """[...document.querySelectorAll(".table")]
+        .filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.textContent.slice(0, 60))"""
+    )
+    assert cut == []
+
+
+def test_labels_of_charts_cover_neither_each_other_nor_the_edge(page: Opened) -> None:
+    """Five targets have theirs in the map, in the plan and in the picture, at every width."""
+    drawn = page.page.evaluate(
+        """Object.entries(window.twinPage.charts_drawn).filter(([, c]) => c.placed)
+        .map(([name, c]) => [name, c.canvas.clientWidth,
+                             c.placed.map((l) => [l.text, l.left, l.middle, l.width])])"""
+    )
+    texts = {name: [label[0] for label in labels] for name, _, labels in drawn}
+    for name in ("map-0", "plan-0", "image-0"):
+        assert len(texts[name]) == 5, name
+    for name, width, labels in drawn:
+        for i, (text, left, middle, wide) in enumerate(labels):
+            assert 0 <= left <= left + wide <= width, (name, text)
+            for other, start, at, size in labels[:i]:
+                apart = left + wide <= start or start + size <= left or abs(middle - at) >= 12
+                assert apart, (name, text, other)
+
+
+def test_a_plan_on_a_narrow_page_has_what_is_ahead_up(page: Opened) -> None:
+    name = page.page.evaluate("window.twinPage.charts_drawn['plan-0'].spec.y.name")
+    assert name == ("x (m)" if page.width == 420 else "y (m)")
+
+
 def test_one_picture_is_shown_at_a_time(page: Opened) -> None:
     buttons = page.page.locator("[data-shows]")
     assert buttons.count() >= 2

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from hardware.formatting import number
 from twin.camera.chain import Chain
 from twin.camera.exposure_noise import exposure_noise_w, lit_share
 from twin.camera.exposures import Exposures
@@ -192,9 +193,9 @@ def frozen_warnings(
     if not over > 1:
         return ()
     text = (
-        f"what moves passes up to {change.cells_passed(duration):.2g} cells during a frame, which "
-        f"is taken as still: counts may be off by up to some {over:.2g} times their noise: "
-        "fidelity.motion_tolerance"
+        f"what moves passes up to {number(change.cells_passed(duration), 2)} cells during a frame, "
+        f"which is taken as still: counts may be off by up to some {number(over, 2)} times their "
+        "noise: fidelity.motion_tolerance"
     )
     return (CaptureWarning("tolerance", text),)
 

@@ -4,7 +4,7 @@
   const page = JSON.parse(document.getElementById("page-data").textContent);
   const style = (name) =>
     getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
-  const SYMBOL = 6;
+  const SYMBOL = 6, SYMBOLS = ["ring", "plus", "cross", "diamond"];
   const heat = (level) => {
     const stops = page.heat, at = Math.max(0, Math.min(1, level)) * (stops.length - 1);
     const i = Math.min(stops.length - 2, Math.floor(at)), t = at - i;
@@ -48,9 +48,26 @@
     return found;
   };
 
+  const NARROW = 560;
+  // A plan on a narrow page: what is ahead of the rig is up.
+  const upright = (spec) => {
+    const { ahead, across, sign } = spec.upright;
+    const times = (values, by) => values.map((v) => (v === null ? null : by * v));
+    const span = (axis, by, name) => by > 0 ? { ...axis, name } : { low: -axis.high, high: -axis.low, name };
+    return {
+      ...spec,
+      x: span(spec.y, -sign, across),
+      y: span(spec.x, sign, ahead),
+      layers: spec.layers.map((l) => ({
+        ...l, x: times(l.y, -sign), y: times(l.x, sign), errors: l.errors && [l.errors[1], l.errors[0]],
+      })),
+    };
+  };
+
   class Chart {
     constructor(figure, spec) {
       this.figure = figure;
+      this.specs = { wide: spec, narrow: spec.upright ? upright(spec) : spec };
       this.spec = spec;
       this.canvas = figure.querySelector("canvas");
       this.tip = figure.querySelector(".tip");
@@ -149,6 +166,8 @@
       const ratio = window.devicePixelRatio || 1;
       const f = this.frame();
       if (!f.width || !f.height) return;
+      const fitting = this.specs[f.width < NARROW ? "narrow" : "wide"];
+      if (this.spec !== fitting) { this.spec = fitting; this.reset(); return this.draw(); }
       this.canvas.width = Math.round(f.width * ratio);
       this.canvas.height = Math.round(f.height * ratio);
       const c = this.canvas.getContext("2d");
@@ -301,34 +320,30 @@
     }
 
     labels(c, f, layers) {
-      // Beside the mark where there is room, else left out: the pointer still tells it.
-      const taken = [];
       c.font = "600 12px system-ui, sans-serif";
       c.textBaseline = "middle";
       c.textAlign = "left";
-      for (const layer of layers)
-        for (let i = 0; i < layer.labels.length; i++) {
-          const text = layer.labels[i];
-          if (!text || layer.x[i] === null || layer.y[i] === null) continue;
-          const x = f.X(layer.x[i]), y = f.Y(layer.y[i]), w = c.measureText(text).width;
-          if (x < f.box.l || x > f.box.r || y < f.box.t || y > f.box.b) continue;
-          const spots = [];
-          for (const up of [0, -15, 15, -30, 30, -45, 45, -60, 60])
-            spots.push([x + 11, y + up], [x - 11 - w, y + up]);
-          const spot = spots.find(([a, b]) =>
-            a > f.box.l + 2 && a + w < f.box.r - 2 && b > f.box.t + 8 && b < f.box.b - 8 &&
-            taken.every(([p, q, r]) => a + w < p || a > p + r || Math.abs(b - q) > 15));
-          if (!spot) continue;
-          const [a, b] = spot;
-          taken.push([a - 3, b, w + 6]);
-          if (Math.abs(b - y) > 8) {
-            c.strokeStyle = style("soft"); c.lineWidth = 1;
-            c.beginPath(); c.moveTo(x, y); c.lineTo(a < x ? a + w + 2 : a - 2, b); c.stroke();
-          }
-          c.lineWidth = 3.5; c.strokeStyle = this.halo(); c.lineJoin = "round";
-          c.strokeText(text, a, b);
-          c.fillStyle = this.spec.image ? "#fff" : style("ink"); c.fillText(text, a, b);
+      const marks = [], labels = [];
+      for (const layer of layers) {
+        if (!SYMBOLS.includes(layer.mark)) continue;
+        layer.x.forEach((px, i) => {
+          if (px === null || layer.y[i] === null) return;
+          const x = f.X(px), y = f.Y(layer.y[i]), text = layer.labels[i];
+          if (x < f.box.l || x > f.box.r || y < f.box.t || y > f.box.b) return;
+          marks.push([x, y]);
+          if (text) labels.push({ x, y, text, width: c.measureText(text).width });
+        });
+      }
+      this.placed = window.placedLabels(labels, marks, f.box);
+      for (const { x, y, text, width, left, middle } of this.placed) {
+        if (Math.abs(middle - y) > 8) {
+          c.strokeStyle = style("soft"); c.lineWidth = 1;
+          c.beginPath(); c.moveTo(x, y); c.lineTo(left < x ? left + width + 2 : left - 2, middle); c.stroke();
         }
+        c.lineWidth = 3.5; c.strokeStyle = this.halo(); c.lineJoin = "round";
+        c.strokeText(text, left, middle);
+        c.fillStyle = this.spec.image ? "#fff" : style("ink"); c.fillText(text, left, middle);
+      }
     }
 
     zoom(factor, px, py) {

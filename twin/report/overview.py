@@ -164,7 +164,19 @@ def plan_chart(scene: Scene, evaluations: Any, radar: RadarEvaluation | None) ->
         "y": charts.axis("y (m)", low[1], high[1]),
         "layers": layers,
         "scale": list(snr_span(radar)) if radar and radar.detections else None,
+        "upright": _upright(scene, high - low),
     }
+
+
+def _upright(scene: Scene, size: Array) -> dict[str, Any] | None:
+    """On a narrow page a plan that is longer along x than across has what is ahead of the rig up:
+    the axes' names, and the sign of x ahead.
+    """
+    if size[0] < 1.3 * size[1]:
+        return None
+    if scene.rig.device("emitter")[1][0][0] >= 0:
+        return {"ahead": "x (m)", "across": "to the right, −y (m)", "sign": 1}
+    return {"ahead": "ahead, −x (m)", "across": "to the right, y (m)", "sign": -1}
 
 
 def _span(scene: Scene, layers: list[dict[str, Any]], far_m: float) -> tuple[Array, Array]:

@@ -36,6 +36,7 @@
     const material = new THREE.LineBasicMaterial({ color: colour, transparent: opacity < 1, opacity });
     return new THREE.LineSegments(geometry, material);
   };
+  const LABEL_PX = 18, sprites = [];
   const label = (text, at, colour) => {
     const face = document.createElement("canvas"), size = 44;
     let c = face.getContext("2d");
@@ -53,10 +54,31 @@
     c.fillText(text, 10, face.height / 2);
     const sprite = new THREE.Sprite(
       new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(face), depthTest: false, sizeAttenuation: false }));
-    sprite.scale.set((0.034 * face.width) / face.height, 0.034, 1);
+    sprite.userData.aspect = face.width / face.height;
     sprite.position.set(at[0], at[1], at[2]);
-    sprite.center.set(0, -0.4);
+    sprites.push(sprite);
     return sprite;
+  };
+  // Texts of the same height on every screen, where they do not cover each other.
+  const place_labels = () => {
+    const { clientWidth: w, clientHeight: h } = canvas;
+    const scale = (2 * LABEL_PX * Math.tan((camera.fov * Math.PI) / 360)) / h;
+    camera.updateMatrixWorld();
+    const labels = [], marks = [];
+    for (const sprite of sprites) {
+      const at = sprite.position.clone().project(camera);
+      sprite.visible = false;
+      if (!sprite.parent.visible || Math.abs(at.z) > 1) continue;
+      const x = ((at.x + 1) / 2) * w, y = ((1 - at.y) / 2) * h;
+      labels.push({ sprite, x, y, width: LABEL_PX * sprite.userData.aspect });
+      marks.push([x, y]);
+    }
+    const box = { l: 0, r: w, t: 0, b: h };
+    for (const { sprite, x, y, width, left, middle } of window.placedLabels(labels, marks, box, 30)) {
+      sprite.visible = true;
+      sprite.scale.set(scale * sprite.userData.aspect, scale, 1);
+      sprite.center.set((x - left) / width, (middle - y) / LABEL_PX + 0.5);
+    }
   };
 
   const solids = group("objects");
@@ -133,7 +155,7 @@
   canvas.addEventListener("focus", () => { controls.enableZoom = true; });
   canvas.addEventListener("blur", () => { controls.enableZoom = false; });
   canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
-  const draw = () => renderer.render(world, camera);
+  const draw = () => { place_labels(); renderer.render(world, camera); };
   controls.addEventListener("change", draw);
   const places = {
     reset: [0, 1, 2].map((k) => p[k] - 0.5 * near * forward[k] + 0.8 * near * left[k] + (k === 2 ? 0.9 * near : 0)),
