@@ -74,6 +74,12 @@ def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> N
     assert [float(row["snr"]) for row in read] == [row["snr"] for row in rows]
 
 
+def test_a_front_without_points_says_so(swept: Path) -> None:
+    data = open_sweep(swept).load()
+    designs = designs_on_front(data.assign(snr=data["snr"] * np.nan), *METRICS)
+    assert designs.verdict == "no point has a number of both snr and minimum_time_s"
+
+
 def test_designs_without_a_front_are_refused(swept: Path, tmp_path: Path) -> None:
     words = ["show", str(swept), "--csv", str(tmp_path / "front.csv")]
     refused = CliRunner().invoke(app, words)

@@ -67,8 +67,8 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
             f"{number(row.budget.total_noise_e)}, {max(noise, key=lambda name: noise[name])}",
             f"{row.fill:.0%}",
             "void (saturated)" if row.saturates else number(row.snr_per_pixel),
-            si(row.minimum_time_s, "s"),
-            si(row.maximum_distance_m, "m"),
+            _or_none(row.minimum_time_s, "s"),
+            _or_none(row.maximum_distance_m, "m"),
         )
     console.print(table)
 
@@ -168,3 +168,8 @@ def _rates(rates: Sequence[FrameRate]) -> Table:
             f"{rate.differential_overlapped:.1f}",
         )
     return table
+
+
+def _or_none(value: float, unit: str) -> str:
+    """A time or distance; there is none where the signal is clipped before."""
+    return si(value, unit) if math.isfinite(value) else "none"

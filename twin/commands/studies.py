@@ -73,7 +73,7 @@ def sweep(
         reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
     )
     for kind, n in done.warned:
-        say.warn(f"{kind}: {counted(n, 'point')}")
+        say.warn(f"{kind}: {counted(n, 'point')}, the first: {done.words[kind]}")
     if done.without_effect:
         say.warn(f"no metric changes with {', '.join(done.without_effect)}")
     for reason, n in done.reasons[:_REASONS]:
@@ -225,7 +225,9 @@ def _tell_front(
     from twin.sweep.front import designs_on_front, write_designs
 
     designs = designs_on_front(data, metric, second, void=void)
-    table = Table(*designs.heads, box=None, title=designs.title)
+    table = Table(box=None, title=designs.title)
+    for head in designs.heads:
+        table.add_column(head, overflow="fold")
     for cells in designs.cells:
         table.add_row(*cells)
     console_of(say).print(table)

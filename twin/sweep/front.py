@@ -45,6 +45,8 @@ class FrontDesigns:
     @property
     def verdict(self) -> str:
         """How many there are."""
+        if not self.n_points:
+            return f"no point has a number of both {self.metrics[0]} and {self.metrics[1]}"
         coarse = ""
         if self.n_coarse:
             coarse = (

@@ -6,9 +6,9 @@ A sweep that was interrupted resumes from its folder: `store.create_or_resume`, 
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -39,9 +39,9 @@ class Summary:
     """What a sweep did.
 
     ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
-    points a warning was given of. ``without_effect``: parameters along which no metric changed.
-    ``n_coarse``: points that cannot be on the study's front, left at a coarse tolerance; None where
-    all are computed as asked.
+    points a warning was given of; ``words``: the first of each kind. ``without_effect``: parameters
+    along which no metric changed. ``n_coarse``: points that cannot be on the study's front, left at
+    a coarse tolerance; None where all are computed as asked.
     """
 
     out: Path
@@ -51,6 +51,7 @@ class Summary:
     renders: int
     reasons: tuple[tuple[str, int], ...] = ()
     warned: tuple[tuple[str, int], ...] = ()
+    words: Mapping[str, str] = field(default_factory=dict)
     without_effect: tuple[str, ...] = ()
     n_coarse: int | None = None
 
@@ -147,6 +148,7 @@ def _summary(store: Store) -> Summary:
         renders=progress.renders,
         reasons=tuple(Counter(progress.errors.values()).most_common()),
         warned=tuple((kind, len(points)) for kind, points in sorted(progress.warned.items())),
+        words=dict(progress.words),
         without_effect=tuple(without_effect(found)),
         n_coarse=found.attrs.get("points_coarse"),
     )
