@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.still import still_yard
 from twin.camera import capture
 from twin.camera.light import render
 from twin.camera.mounting import field_points
@@ -21,7 +22,7 @@ from twin.optics.weather import (
     Air,
     air_of_system,
 )
-from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
 
@@ -136,7 +137,7 @@ def test_fog_dims_the_scene_and_lifts_its_darkest_cells(foggy) -> None:
     light besides. Light scattered into ground and objects on its way is lost: 0.6 % of the median
     on the way out, 0.4 % more on the way back, where shadows were once those of the straight line.
     """
-    scene = load_scene("yard")
+    scene = still_yard()
     fidelity = Fidelity(1024, 1)
     seed = np.random.SeedSequence(3)
     clear = render(scene, foggy(""), fidelity=fidelity, seed=seed)
@@ -183,7 +184,7 @@ def test_columns_of_a_line_sensor_share_backscatter(foggy) -> None:
 def test_time_of_flight_sees_backscatter_before_the_wall(foggy) -> None:
     """In fog the paths' light is the plain light, and the phase says too near."""
     tof = "[time_of_flight]\nmodulation_hz = [10e6]\ncontrast = 1.0\n"
-    scene = load_scene("yard")
+    scene = still_yard()
     rendered = {
         name: render(
             scene, foggy(text, tof), fidelity=Fidelity(256, 1), seed=np.random.SeedSequence(1)
@@ -203,7 +204,7 @@ def test_time_of_flight_sees_backscatter_before_the_wall(foggy) -> None:
 
 
 def test_thick_air_is_said_to_be_beyond_the_model(foggy) -> None:
-    scene, draft = load_scene("yard"), Fidelity(4, 1)
+    scene, draft = still_yard(), Fidelity(4, 1)
     thick = capture(scene, foggy('[weather]\npart = "smoke"\n'), fidelity=draft)
     thin = capture(scene, foggy('[weather]\npart = "haze"\n'), fidelity=draft)
     assert any("the real image has less contrast" in warning for warning in thick.warnings)

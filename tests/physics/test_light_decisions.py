@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from tests.still import still_yard
 from twin.accuracy import Decision
 from twin.camera import Capture, capture
 from twin.camera.mounting import light_problem
@@ -110,7 +111,8 @@ def test_no_bound_is_known_of_a_body_that_absorbs_nothing_or_of_scattering_air()
 def taken(scene: str, system: str, **knobs: float) -> Capture:
     small = {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
     design = load_system(system).with_(small)
-    return capture(load_scene(scene), design, seed=1, fidelity=Fidelity(**knobs))
+    world = still_yard() if scene == "yard" else load_scene(scene)
+    return capture(world, design, seed=1, fidelity=Fidelity(**knobs))
 
 
 def test_decisions_are_told() -> None:
@@ -150,7 +152,7 @@ def test_a_tolerance_may_be_a_share_of_the_light_itself() -> None:
             {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
         )
         knobs = Fidelity(light_tolerance_relative=0.05)
-        found = capture(load_scene("yard"), design, seed=seed, fidelity=knobs)
+        found = capture(still_yard(), design, seed=seed, fidelity=knobs)
         permitted = 0.05 * np.maximum(found.cells_e, found.cells_e.mean())
         errors.append(np.mean(((found.cells_e - fine) / permitted) ** 2))
         assert np.sqrt(np.mean((found.cells_error_e / permitted) ** 2)) <= 1.02
@@ -226,7 +228,7 @@ def told(found: Capture, beginning: str) -> Decision:
 def test_the_shift_of_a_filter_is_told_as_large_as_it_is() -> None:
     design = load_system("workable").with_(SMALL)
     band = design.filter.model_copy(update={"effective_index": None, "place": None})
-    found, shifted, straight = with_and_without(load_scene("yard"), design, {"filter": band})
+    found, shifted, straight = with_and_without(still_yard(), design, {"filter": band})
     decision = told(found, "the filter's shift with angle")
     assert decision.taken
     assert decision.bound > 1e-3
@@ -234,7 +236,7 @@ def test_the_shift_of_a_filter_is_told_as_large_as_it_is() -> None:
     assert decision.effect.endswith("at no cost")
     assert decision.bound == pytest.approx(change_in_noise(found, shifted, straight), rel=0.05)
     without = capture(
-        load_scene("yard"),
+        still_yard(),
         System.model_validate({**dict(design), "filter": band}),
         seed=1,
         fidelity=Fidelity(light_tolerance=0.2),
@@ -248,7 +250,7 @@ def test_what_air_does_is_told_no_smaller_than_it_is(weather: str) -> None:
     and that of the veil, which adds, exactly.
     """
     design = load_system("workable").with_({**SMALL, "weather.part": weather})
-    found, foggy, clear = with_and_without(load_scene("yard"), design, {"weather": None})
+    found, foggy, clear = with_and_without(still_yard(), design, {"weather": None})
     extinction, veil = (told(found, what) for what in ("the air's extinction", "veil of light"))
     noise_e = found.noise.pixel_noise_e(found.record.patterns)
     added = float(np.sqrt(np.mean(found.backscatter_e**2)) / noise_e)

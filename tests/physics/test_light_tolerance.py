@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.still import still_yard
 from twin.camera import Capture, capture
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
@@ -15,7 +16,7 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.transport import transport
 from twin.optics.unseen import contrast
-from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
 
@@ -28,20 +29,10 @@ def noise_e(taken: Capture, system: System) -> float:
     return taken.noise.pixel_noise_e(system.patterns)
 
 
-def yard() -> Scene:
-    """The yard with nothing in it moving, so that a frame of it is what is rendered."""
-    scene, rest = load_scene("yard"), (0.0, 0.0, 0.0)
-    return replace(
-        scene,
-        objects=tuple(replace(item, velocity_m_per_s=rest) for item in scene.objects),
-        targets=tuple(replace(item, velocity_m_per_s=rest) for item in scene.targets),
-    )
-
-
 @pytest.fixture(scope="module")
 def reference() -> np.ndarray:
     """Electrons of the cells of the yard, (8, 32, 32), of 1024 paths each."""
-    scene = yard()
+    scene = still_yard()
     return np.array([capture(scene, YARD, seed=100 + n, fidelity=FINE).cells_e for n in range(8)])
 
 
@@ -51,7 +42,7 @@ def test_light_of_the_yard_is_within_its_tolerance(reference: np.ndarray, tolera
     below the error nor above twice of it. Without the neighbours' share in the variance it is
     below.
     """
-    scene, errors, stated = yard(), [], []
+    scene, errors, stated = still_yard(), [], []
     mean, variance = reference.mean(axis=0), reference.var(axis=0, ddof=1) / len(reference)
     for seed in range(4):
         taken = capture(scene, YARD, seed=seed, fidelity=Fidelity(light_tolerance=tolerance))
@@ -75,7 +66,7 @@ def test_a_sensor_far_below_its_noise_keeps_an_image_to_compare_with(
         {"emitter.radiant_intensity_w_per_sr": YARD.emitter.radiant_intensity_w_per_sr.value / 1e3}
     )
     mean = reference.mean(axis=0) / 1e3
-    taken = capture(yard(), dim, seed=1, fidelity=Fidelity(light_tolerance=0.2))
+    taken = capture(still_yard(), dim, seed=1, fidelity=Fidelity(light_tolerance=0.2))
     image = np.sqrt(np.mean(mean**2))
     assert noise_e(taken, dim) > 20 * image
     assert np.sqrt(np.mean((taken.cells_e - mean) ** 2)) < 0.2 * 0.25 * image
@@ -84,7 +75,7 @@ def test_a_sensor_far_below_its_noise_keeps_an_image_to_compare_with(
 
 def test_same_seed_same_bits() -> None:
     runs = [
-        capture(yard(), YARD, seed=3, fidelity=Fidelity(light_tolerance=0.5)).cells_e
+        capture(still_yard(), YARD, seed=3, fidelity=Fidelity(light_tolerance=0.5)).cells_e
         for _ in range(2)
     ]
     assert (runs[0] == runs[1]).all()
@@ -169,13 +160,13 @@ def test_other_sensors_have_as_many_paths_in_all_cells(kind: str) -> None:
     if kind == "time of flight":
         phases = {"modulation_hz": [20e6], "phase_steps": 4, "contrast": 0.8}
         design = YARD.with_({f"time_of_flight.{name}": value for name, value in phases.items()})
-    taken = capture(yard(), design, seed=1, fidelity=Fidelity(light_tolerance=1.0))
+    taken = capture(still_yard(), design, seed=1, fidelity=Fidelity(light_tolerance=1.0))
     assert taken.cells_error_e.any()
     assert not any("are allowed" in warning for warning in taken.warnings)
 
 
 def test_nothing_in_sight_takes_no_time() -> None:
-    far = yard().with_({"rig.yaw_deg": 180.0, "rig.pitch_deg": -60.0})
+    far = still_yard().with_({"rig.yaw_deg": 180.0, "rig.pitch_deg": -60.0})
     taken = capture(far, YARD, seed=1, fidelity=Fidelity(light_tolerance=1e-4))
     assert not taken.cells_e.any()
     assert taken.void

@@ -7,6 +7,7 @@ import pytest
 from scipy import constants
 
 from hardware import reconstruct
+from tests.still import still_yard
 from twin.camera import capture
 from twin.camera.equal_paths import emitter_light, sun_light
 from twin.fidelity import Fidelity
@@ -74,7 +75,7 @@ def test_the_picture_is_the_scene(at_dusk: System) -> None:
     """16 differential pairs of 256 counts make 256 x 16 pixels that agree with the noise-free ones;
     turned over or mirrored they do not.
     """
-    taken = capture(load_scene("yard"), at_dusk, seed=2, fidelity=Fidelity(16, 2))
+    taken = capture(still_yard(), at_dusk, seed=2, fidelity=Fidelity(16, 2))
     assert taken.record.counts.shape == (32, 256)
     assert taken.cells_e.shape == taken.truth.albedo.shape == (16, 256)
     picture = reconstruct(taken.record, "zero-fill").picture
@@ -89,7 +90,7 @@ def test_the_picture_is_the_scene(at_dusk: System) -> None:
 
 def test_truth_lies_under_the_picture(at_dusk: System) -> None:
     """Where the noise-free image is brightest the truth has the chart, 5 m ahead on the left."""
-    taken = capture(load_scene("yard"), at_dusk, fidelity=Fidelity(16, 1))
+    taken = capture(still_yard(), at_dusk, fidelity=Fidelity(16, 1))
     row, column = np.unravel_index(np.argmax(taken.cells_e), taken.cells_e.shape)
     assert taken.truth.depth_m[row, column] == pytest.approx(5.0, abs=0.01)
     assert column < 128
@@ -97,7 +98,7 @@ def test_truth_lies_under_the_picture(at_dusk: System) -> None:
 
 def test_noise_of_a_column_is_that_of_its_own_light(at_dusk: System) -> None:
     """Errors over predicted noise have rms 1: 4096 pixels, each noise from 16 pairs: 5 sigma."""
-    taken = capture(load_scene("yard"), at_dusk, seed=5, fidelity=Fidelity(64, 2))
+    taken = capture(still_yard(), at_dusk, seed=5, fidelity=Fidelity(64, 2))
     picture = reconstruct(taken.record, "zero-fill").picture
     lit = taken.cells_e > 0
     noise = taken.cells_e[lit] / taken.snr[lit]

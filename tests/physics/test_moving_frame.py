@@ -26,7 +26,7 @@ from twin.camera.mounting import light_problem
 from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.truth import Truth, depths
 from twin.engine import mitsuba
-from twin.fidelity import Fidelity
+from twin.fidelity import DEFAULT, Fidelity
 from twin.files import InputError
 from twin.geometry import Geometry
 from twin.motion import Product, Still, Straight, Turning
@@ -304,8 +304,8 @@ def test_what_passes_through_the_rig_leaves_finite_light(system: System) -> None
 
 def test_at_rest_the_bits_are_those_of_a_still_frame(system: System) -> None:
     scene = world(plate("wall", (-9, 9), (-9, 9), 6.0), plate("plate", (0.0, 1.0), (-1, 1)))
-    for still in (Fidelity(16, 1), Fidelity(light_tolerance=0.2)):
-        moving = replace(still, motion_tolerance=0.1)
+    for moving in (Fidelity(16, 1), DEFAULT):
+        still = replace(moving, motion_tolerance=None)
         one, other = (capture(scene, system, seed=4, fidelity=knobs) for knobs in (still, moving))
         assert np.array_equal(one.record.counts, other.record.counts)
         assert STILL_ASSUMPTION in other.assumptions
@@ -323,10 +323,10 @@ def test_next_to_no_motion_is_next_to_no_difference(system: System) -> None:
 
 
 def test_a_capture_says_what_it_took_and_has_the_truth_of_the_middle(system: System) -> None:
-    fidelity = Fidelity(light_tolerance=0.2, motion_tolerance=0.1)
-    got = capture(many(), system, seed=2, fidelity=fidelity)
+    frozen = replace(DEFAULT, motion_tolerance=None)
+    got = capture(many(), system, seed=2)
     middle = many().after(Exposures.of(system).duration_s / 2)
-    still = capture(middle, system, seed=2, fidelity=Fidelity(light_tolerance=0.2))
+    still = capture(middle, system, seed=2, fidelity=frozen)
     assert np.array_equal(got.truth.depth_m, still.truth.depth_m)
     assert np.array_equal(got.record.pose.position_m, [0, 0, 0])
     assert MOVING_ASSUMPTION in got.assumptions
@@ -334,9 +334,9 @@ def test_a_capture_says_what_it_took_and_has_the_truth_of_the_middle(system: Sys
     (told,) = [d for d in got.decisions if "motion" in d.effect]
     assert told.taken
     assert 0 < told.bound <= told.permitted == 0.1
-    again = capture(many(), system, seed=2, fidelity=fidelity)
+    again = capture(many(), system, seed=2)
     assert np.array_equal(got.record.counts, again.record.counts)
-    without = capture(many(), system, seed=2, fidelity=Fidelity(light_tolerance=0.2))
+    without = capture(many(), system, seed=2, fidelity=frozen)
     assert STILL_ASSUMPTION in without.assumptions
 
 
@@ -344,14 +344,14 @@ def test_a_trajectory_that_ends_before_the_frame_does_is_an_error(system: System
     way = through([0.0, 0.02], [[0, 0, 0], [0.1, 0, 0]], Rotation.identity(2))
     scene = world(plate("wall", (-9, 9), (-9, 9), 6.0), rig=Rig(Pose((0.0,) * 3)).following(way))
     with pytest.raises(InputError, match=r"0\.02"):
-        capture(scene, system, fidelity=Fidelity(light_tolerance=0.2, motion_tolerance=0.1))
+        capture(scene, system)
 
 
 # -- a frame taken as still -----------------------------------------------------------------------
 
 
 def frozen(scene: Scene, system: System) -> list[str]:
-    told = capture(scene, system, seed=2, fidelity=Fidelity(64, 1)).warnings
+    told = capture(scene, system, seed=2, fidelity=Fidelity(64, 1, motion_tolerance=None)).warnings
     return [str(text) for text in told if "taken as still" in text]
 
 

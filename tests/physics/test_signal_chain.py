@@ -12,6 +12,7 @@ from designs import QUIET
 from scipy import integrate
 
 from hardware import reconstruct
+from tests.still import still_yard
 from twin.camera import capture
 from twin.camera.illumination import dark_share, frame_signal, residual_share
 from twin.detector import FrontEnd, expose, noise_budget
@@ -95,7 +96,7 @@ def test_the_emitter_fluctuates_as_a_whole(system) -> None:
 def test_fluctuation_is_in_the_budget(system) -> None:
     """Noise found in the record against the budget's total, which the fluctuation dominates."""
     noisy = system("[emitter]\nintensity_noise = 0.02\n")
-    taken = capture(load_scene("yard"), noisy, fidelity=Fidelity(4, 1))
+    taken = capture(still_yard(), noisy, fidelity=Fidelity(4, 1))
     worst = max(taken.noise.noise_e, key=taken.noise.noise_e.__getitem__)
     assert worst == "fluctuation of the emitter"
     found = float(reconstruct(taken.record).noise_electrons[0]) / math.sqrt(2)
@@ -154,9 +155,9 @@ def test_a_filter_before_the_lens_passes_less_at_the_edge_of_the_field(system) -
     edge = float(found.emitter_at(np.array(12.0)))
     assert edge == pytest.approx(in_band_fraction(narrow.emitter, narrow.filter, 12.0), abs=0.02)
     assert edge < 0.05
-    taken = capture(load_scene("yard"), narrow, fidelity=Fidelity(4, 1))
+    taken = capture(still_yard(), narrow, fidelity=Fidelity(4, 1))
     wide = capture(
-        load_scene("yard"), system("[optics]\nfield_of_view_deg = 30.0\n"), fidelity=Fidelity(4, 1)
+        still_yard(), system("[optics]\nfield_of_view_deg = 30.0\n"), fidelity=Fidelity(4, 1)
     )
     lit = wide.cells_e > 0
     kept = np.divide(taken.cells_e, wide.cells_e, out=np.full((64, 64), np.nan), where=lit)
@@ -195,7 +196,7 @@ def test_every_grid_of_the_paper_works_with_mirrors(system, rows: int, columns: 
     made = system(
         f"[emitter]\nrows = {rows}\ncolumns = {columns}\n[acquisition]\nn_patterns = 512\n"
     )
-    taken = capture(load_scene("yard"), made, fidelity=Fidelity(4, 1))
+    taken = capture(still_yard(), made, fidelity=Fidelity(4, 1))
     assert taken.cells_e.shape == (rows, columns)
     truth, found = taken.cells_e, reconstruct(taken.record).picture
     assert np.corrcoef(truth.ravel(), found.ravel())[0, 1] > 0.5

@@ -20,6 +20,8 @@ from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.inputs import Held, inputs_of
 from twin.sweep.setup import setup
 
+#: Knobs of a study that names none.
+STILL = knobs_of(None).with_(motion_tolerance=None)
 #: Lit faces at several depths; sensors of noise between 1 and some 30 times the least.
 HEAD = """
 scene = "yard"
@@ -55,7 +57,7 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     inputs, least = inputs_of(plan), []
     for index in range(9):
         made = setup(plan, plan.point(index), inputs)
-        assert made.fidelity == knobs_of(None)
+        assert made.fidelity == STILL
         light = shared_light.light_of(plan, index, made, inputs)
         chain = Chain.of(made.system, made.scene.sun)
         permitted = PermittedError(chain, light, made.fidelity).of(light.light.cells)
@@ -64,7 +66,7 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     strictest = int(np.argmin(least))
     assert (plan.point(strictest)["system.sky.illuminance_lx"]) == 0
     made = setup(plan, plan.point(strictest), inputs)
-    alone = capture(made.scene, made.system, seed=made.seed)
+    alone = capture(made.scene, made.system, fidelity=STILL, seed=made.seed)
     counts = outcome_of(plan, strictest, inputs).capture.record.counts
     np.testing.assert_array_equal(counts, alone.record.counts)
 
@@ -156,7 +158,9 @@ def _knobs(plan: Study) -> Fidelity:
 
 def test_what_says_the_accuracy() -> None:
     """A study's preset or tolerance; its knobs over that, over `standard` where it names none."""
-    assert _knobs(Study(name="s", metrics=["psnr_db"])) == knobs_of(None)
+    assert _knobs(Study(name="s", metrics=["psnr_db"])) == STILL
+    named = Study(name="s", metrics=["psnr_db"], set={"fidelity.motion_tolerance": 0.3})
+    assert _knobs(named) == Fidelity(motion_tolerance=0.3)
     for said, expected in (
         ({"fidelity.preset": "draft"}, PRESETS["draft"]),
         ({"fidelity.tolerance": 0.1}, Tolerance(0.1).knobs()),
@@ -167,12 +171,14 @@ def test_what_says_the_accuracy() -> None:
             Tolerance(0.1).knobs().with_(noise="none"),
         ),
     ):
-        assert _knobs(Study(name="s", metrics=["psnr_db"], set=said)) == expected
+        knobs = _knobs(Study(name="s", metrics=["psnr_db"], set=said))
+        assert knobs == expected.with_(motion_tolerance=None)
     echo = Study(
         name="s", metrics=["range_error_m"], set={"fidelity.tolerance": "0.2, 0.5 dB, 2 mm"}
     )
     bandwidth_hz = load_radar("hybrid-79").total_bandwidth_hz
-    assert _knobs(echo) == Tolerance(0.2, echo_db=0.5, distance_m=2e-3).knobs(bandwidth_hz)
+    asked = Tolerance(0.2, echo_db=0.5, distance_m=2e-3).knobs(bandwidth_hz)
+    assert _knobs(echo) == asked.with_(motion_tolerance=None)
 
 
 @pytest.mark.parametrize(

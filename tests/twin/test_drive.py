@@ -235,7 +235,7 @@ def test_the_world_moves_within_a_frame_where_that_is_asked_for() -> None:
     """Of a rig at 5 m/s the first exposures are those of a frame that stands where it began, the
     last ones those of a frame that stands where it ended.
     """
-    fidelity = replace(FAST, noise="none", samples=64)
+    fidelity = replace(FAST, noise="none", samples=64, motion_tolerance=None)
     slow = CAMERA.with_({"acquisition.pattern_period_s": 1e-2})
     moving, still = (
         CameraFrames(plan(fidelity=knobs, system=slow, duration_s=2.0, radar=None))

@@ -29,6 +29,8 @@ def test_presets_are_ordered_by_strictness() -> None:
         both = (rough | fine).quality
         assert both == TracingQuality(fine.samples, fine.max_depth, fine.quality.further_samples)
         assert (rough | fine).radar_tolerance == fine.radar_tolerance < rough.radar_tolerance
+    assert draft.motion_tolerance > standard.motion_tolerance > reference.motion_tolerance
+    assert Fidelity(motion_tolerance="none").motion_tolerance is None
     assert knobs_of("draft") == draft
     assert knobs_of(draft) is draft
 
@@ -147,7 +149,7 @@ def test_whole_numbers_may_have_an_exponent() -> None:
 
 def test_a_tolerance_is_a_share_of_the_noise() -> None:
     knobs = Tolerance(0.4).knobs()
-    assert (knobs.light_tolerance, knobs.radar_tolerance) == (0.4, 0.2)
+    assert (knobs.light_tolerance, knobs.motion_tolerance, knobs.radar_tolerance) == (0.4, 0.2, 0.2)
     assert (knobs | Tolerance(0.1).knobs()).light_tolerance == 0.1
     assert (knobs | Fidelity()).light_tolerance == 0.4
     assert Tolerance().knobs() == Tolerance.of("0.2").knobs() == knobs_of(0.2)
@@ -208,3 +210,4 @@ def test_what_no_knob_promises_of_a_radar_is_refused() -> None:
     with pytest.raises(InputError, match=r"cannot be promised"):
         Tolerance(0.001).knobs(bandwidth_hz=1e9)
     assert Tolerance(0.001).knobs().light_tolerance == 0.001  # of light it can
+    assert Tolerance(1e-4).knobs().motion_tolerance == 1e-4  # the least that one takes

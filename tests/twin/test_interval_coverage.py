@@ -14,6 +14,7 @@ import pytest
 
 import hardware
 from tests.physics.radar_worlds import RADAR, ball, plate, trihedral, world
+from tests.still import still_yard
 from twin.accuracy import Interval
 from twin.camera.acquisition import Capture, measure
 from twin.camera.intervals import capture_intervals, score_intervals, snr_errors
@@ -93,7 +94,7 @@ def test_camera_figures_are_within_their_intervals() -> None:
         ("table1", "workable", 256),
     ):
         some, others = _cases(
-            load_scene(scene),
+            still_yard() if scene == "yard" else load_scene(scene),
             small(system, **{"acquisition.n_patterns": patterns}),
             Fidelity(samples=16),
         )
@@ -104,7 +105,7 @@ def test_camera_figures_are_within_their_intervals() -> None:
 
 def test_intervals_of_light_to_a_tolerance_hold_as_well() -> None:
     cells, figures = _cases(
-        load_scene("yard"), small("workable"), Fidelity(samples=256, light_tolerance=0.5)
+        still_yard(), small("workable"), Fidelity(samples=256, light_tolerance=0.5)
     )
     assert np.mean(cells) >= _ENOUGH
     assert np.mean(figures) >= _ENOUGH - 0.05  # 40 cases
@@ -112,7 +113,7 @@ def test_intervals_of_light_to_a_tolerance_hold_as_well() -> None:
 
 def test_bounces_cut_off_are_within_the_systematic_error() -> None:
     """Direct light alone: where facing surfaces light each other, the rest is missing always."""
-    scene, system = load_scene("yard"), small("workable")
+    scene, system = still_yard(), small("workable")
     cells, figures = _cases(scene, system, Fidelity(samples=256, max_depth=1))
     assert np.mean(cells) >= _ENOUGH
     assert np.mean(figures) >= _ENOUGH - 0.05
@@ -120,7 +121,7 @@ def test_bounces_cut_off_are_within_the_systematic_error() -> None:
 
 def test_an_interval_that_is_too_narrow_is_found() -> None:
     """With a fifth of the stated errors fewer cells are within than asked, by far."""
-    scene, system = load_scene("yard"), small("workable")
+    scene, system = still_yard(), small("workable")
     reference = captured(scene, system, Fidelity(samples=256, max_depth=12), 1000)
     taken = captured(scene, system, Fidelity(samples=16), 0)
     off = np.abs(taken.cells_e - reference.cells_e)

@@ -17,6 +17,7 @@ import pytest
 from hardware import read_record, reconstruct
 from hardware.radar.process import process
 from hardware.records import read_radar_record
+from tests.still import still_yard
 from twin import cli
 from twin.accuracy import Interval
 from twin.camera.acquisition import capture, measure
@@ -216,7 +217,7 @@ def test_an_empty_scene_runs_to_its_report(tmp_path: Path) -> None:
 def test_the_record_alone_gives_the_image(finished: Path) -> None:
     """What the vehicle does with the file, without the twin: recognisably the scene."""
     image = reconstruct(read_record(finished / "record.h5")).image[0]
-    expected = capture(load_scene("yard"), load_system("workable"), fidelity=FAST).cells_e
+    expected = capture(still_yard(), load_system("workable"), fidelity=FAST).cells_e
     assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.95
 
 
@@ -265,7 +266,7 @@ def test_one_render_serves_every_detector_and_sky() -> None:
 
 def test_paper_is_noise_and_workable_works() -> None:
     """The finding of the headline: no pixel of the paper's full-sun yard stands above its noise."""
-    scene = load_scene("yard")
+    scene = still_yard()
     snr = {n: capture(scene, load_system(n), fidelity=FAST).snr for n in ("paper", "workable")}
     assert snr["paper"].max() < 1
     assert np.median(snr["workable"]) > 3
@@ -274,7 +275,7 @@ def test_paper_is_noise_and_workable_works() -> None:
 def test_predicted_noise_is_found_in_the_record() -> None:
     """Twin's budget against the scatter of the record's own pairs: 4095 of them, 5 sigma."""
     for name in ("paper", "workable"):
-        taken = capture(load_scene("yard"), load_system(name), seed=3, fidelity=FAST)
+        taken = capture(still_yard(), load_system(name), seed=3, fidelity=FAST)
         found = reconstruct(taken.record, "zero-fill").noise_electrons[0] / np.sqrt(2)
         sigma = np.sqrt(3 / (4 * 4095))
         # The first pattern's exposures carry more light than the mean: 1 % allowance.
@@ -284,7 +285,7 @@ def test_predicted_noise_is_found_in_the_record() -> None:
 def test_rendering_error_is_a_fifth_of_the_sensors_noise() -> None:
     """By default Monte-Carlo noise must not be what an image shows, and no more paths than that."""
     system = load_system("workable")
-    taken = capture(load_scene("yard"), system)
+    taken = capture(still_yard(), system)
     rms = np.sqrt(np.mean(taken.cells_error_e**2)) / taken.noise.pixel_noise_e(system.patterns)
     assert 0.1 < rms < 0.2
 
@@ -293,7 +294,7 @@ def test_saturation_and_darkness_are_warned_of() -> None:
     content = load_system("workable").model_dump()
     content["readout"]["transimpedance_ohm"] = 1e12
     bright = type(load_system("paper")).model_validate(content)
-    taken = capture(load_scene("yard"), bright, fidelity=FAST)
+    taken = capture(still_yard(), bright, fidelity=FAST)
     assert any("exposures saturate" in w for w in taken.warnings)
     sky = load_scene("yard", parse_pose("0,0,1.2,0,-80"))
     dark = capture(sky, load_system("workable"), fidelity=FAST)

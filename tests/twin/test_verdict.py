@@ -10,6 +10,7 @@ from designs import changed
 from hardware import reconstruct
 from hardware.reconstruction import range_image
 from hardware.records import Flag
+from tests.still import still_yard
 from twin.camera.acquisition import Capture, capture
 from twin.camera.evaluation import evaluate
 from twin.camera.mounting import field_points
@@ -307,8 +308,8 @@ def test_backscatter_of_fog_is_no_signal(tmp_path: Path) -> None:
     """
     path = tmp_path / "fog.toml"
     path.write_text('base = "workable"\n[weather]\npart = "fog-200m"\n')
-    clear = capture(load_scene("yard"), load_system("workable"), seed=1)
-    foggy = capture(load_scene("yard"), load_system(path), seed=1)
+    clear = capture(still_yard(), load_system("workable"), seed=1)
+    foggy = capture(still_yard(), load_system(path), seed=1)
     assert np.median(foggy.backscatter_e) > 0.2 * np.median(foggy.cells_e)
     np.testing.assert_allclose(foggy.scene_e + foggy.backscatter_e, foggy.cells_e)
     assert foggy.verdict.snr_median < clear.verdict.snr_median

@@ -34,6 +34,8 @@ _SOON = 1e-3
 _OWN_WIDTH = 0.5
 #: Over a cell's or a metre's, what a body is wide at least, so that nothing is infinitely thin.
 _THINNEST = 1e-3
+#: Times of one question whose motions are kept for the next.
+_MOST_HELD = 4096
 #: A rotation that is less is none.
 _TURN_RAD = 1e-9
 
@@ -76,7 +78,13 @@ class WorldInMotion:
     def __init__(self, scene: Scene, duration_s: float) -> None:
         self.scene, self.duration_s = scene, duration_s
         self.looks_s = np.linspace(0, duration_s, _LOOKS)
-        self._looks = self.moves(self.looks_s)
+        self._held: dict[float, Array] = {}
+        self._alike = [[number] for number in range(len(scene.objects))]
+        self._looks = self._moves(self.looks_s)
+        alike: dict[bytes, list[int]] = {}
+        for number, moves in enumerate(self._looks):
+            alike.setdefault(np.round(moves, 12).tobytes(), []).append(number)
+        self._alike = list(alike.values())
 
     @property
     def is_at_rest(self) -> bool:
@@ -94,6 +102,15 @@ class WorldInMotion:
 
     def moves(self, times_s: Array) -> Array:
         """Motion of each object since the start, (n_objects, n, 4, 4), seen from the rig."""
+        if len(times_s) > _MOST_HELD:
+            return self._moves(times_s)
+        # All parts of the light ask for mostly the same times, again and again.
+        new = np.array(sorted(set(times_s.tolist()) - self._held.keys()))
+        if len(new):
+            self._held.update(zip(new.tolist(), np.swapaxes(self._moves(new), 0, 1), strict=True))
+        return np.stack([self._held[seconds] for seconds in times_s.tolist()], axis=1)
+
+    def _moves(self, times_s: Array) -> Array:
         scene, place = self.scene, np.eye(4)
         place[:3, 3] = scene.rig.position_m
         back = np.linalg.inv(place)
@@ -103,10 +120,11 @@ class WorldInMotion:
             # Of a still rig: the axes of the world, the origin where the rig is.
             view = back @ scene.rig.pose.transform.as_matrix() @ np.linalg.inv(poses) @ place
         found = np.tile(view, (len(scene.objects), 1, 1, 1))
-        for row, item in enumerate(scene.objects):
+        for rows in self._alike:
+            item = scene.objects[rows[0]]
             if item.moves:
                 since = item.course.pose_at(times_s).as_matrix() @ item.pose.inv().as_matrix()
-                found[row] = view @ (back @ since @ place)
+                found[rows] = view @ (back @ since @ place)
         return found
 
     def sun_directions(self, times_s: Array) -> Array:
@@ -131,10 +149,7 @@ class WorldInMotion:
     @cached_property
     def bodies(self) -> list[_Body]:
         """Objects that move alike, together."""
-        alike: dict[bytes, list[int]] = {}
-        for number, moves in enumerate(self._looks):
-            alike.setdefault(np.round(moves, 12).tobytes(), []).append(number)
-        return [self._body(numbers) for numbers in alike.values()]
+        return [self._body(numbers) for numbers in self._alike]
 
     def _body(self, numbers: Sequence[int]) -> _Body:
         objects = tuple(self.scene.objects[i] for i in numbers)

@@ -350,8 +350,11 @@ def _sun(
             overlooked=overlooked,
         ),
     )
-    light = found.light + _straight(world, problem, found.times_s, shape)
-    return found.times_s, (light @ weight)[:, None], found.motion_error
+    light = (found.light + _straight(world, problem, found.times_s, shape)) @ weight
+    # What paths err by, the same at all instants, is that of the frame's middle.
+    middle = np.interp(world.duration_s / 2, found.times_s, light)
+    light = np.maximum(light + float(weight @ rendered.sun.ravel()) - middle, 0)
+    return found.times_s, light[:, None], found.motion_error
 
 
 def _finest(chain: Chain) -> float:

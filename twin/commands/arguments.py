@@ -50,29 +50,29 @@ WithinOption = Annotated[
 
 
 MotionOption = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="Error between instants within a camera's frame, over an exposure's noise, where the "
-        "accuracy asked for has none; `none`: nothing moves during a frame."
+        help="Error between instants within a camera's frame, over an exposure's noise; `none`: "
+        "nothing moves during a frame. Default: as the accuracy asked for has it."
     ),
 ]
 
 
-def with_motion(knobs: "Fidelity", tolerance: str) -> "Fidelity":
-    """The knobs with a tolerance of motion within a frame, where they have none of their own; with
-    ``none`` without any, and with ``own`` as they are.
+def with_motion(knobs: "Fidelity", tolerance: str | None) -> "Fidelity":
+    """The knobs with a tolerance of motion within a frame; with ``none`` without any, and with None
+    as they are.
 
-    Raises InputError for text that is none.
+    Raises InputError for text that is no number.
     """
     from dataclasses import replace
 
     from hardware.units import quantity
     from twin.errors import InputError
 
+    if tolerance is None:
+        return knobs
     if tolerance == "none":
         return replace(knobs, motion_tolerance=None)
-    if tolerance == "own" or knobs.motion_tolerance is not None:
-        return knobs
     try:
         return replace(knobs, motion_tolerance=quantity(tolerance, None, bare=True))
     except InputError as error:

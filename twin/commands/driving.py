@@ -55,7 +55,7 @@ def drive(
     tolerance: ToleranceOption = None,
     fidelity: FidelityOption = None,
     within: WithinOption = None,
-    motion_tolerance: MotionOption = "0.1",
+    motion_tolerance: MotionOption = None,
 ) -> None:
     """Drive a scene: records of both sensors and the truth in one log (MCAP), as `ugv process`
     reads it. The same command goes on with a drive that was cut short, to the same bytes.

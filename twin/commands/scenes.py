@@ -12,11 +12,13 @@ from hardware.formatting import counted, number
 from twin.commands import console_of, loading
 from twin.commands.arguments import (
     FidelityOption,
+    MotionOption,
     PoseOption,
     SceneArgument,
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    with_motion,
 )
 
 if TYPE_CHECKING:
@@ -58,6 +60,7 @@ def run(
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
+    motion_tolerance: MotionOption = None,
     explain: Annotated[
         bool, typer.Option("--explain", help="List what was modelled and what not, and why.")
     ] = False,
@@ -94,6 +97,7 @@ def run(
         tolerance=tolerance,
         within=within,
     )
+    knobs = with_motion(knobs, motion_tolerance)
     result = run_job(
         scene,
         camera,

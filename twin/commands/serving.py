@@ -53,7 +53,7 @@ def serve(
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
-    motion_tolerance: MotionOption = "own",
+    motion_tolerance: MotionOption = None,
     spi_settings: Annotated[
         Path | None, typer.Option(help="TOML to write: patterns and times for a driver.")
     ] = None,

@@ -12,6 +12,8 @@ K = TypeVar("K", bound="Knobs")
 
 #: Knobs of earlier versions, and what became of them.
 REPLACED = {"radar_rays": "gave way to radar_tolerance, the error of the echo of every body"}
+#: In text what None is elsewhere.
+NONE = "none"
 
 
 @dataclass(frozen=True)
@@ -73,14 +75,19 @@ def tolerance(low: float, high: float) -> dict[str, Rule]:
 
 
 def optional_tolerance(low: float, high: float) -> dict[str, Rule]:
-    """A number, the stricter the less, or None, which leaves it to other knobs."""
+    """A number, the stricter the less, or None, which leaves it to other knobs; in text "none"."""
     rule = tolerance(low, high)["rule"]
 
     def stricter(one: Any, other: Any) -> Any:
         given = [value for value in (one, other) if value is not None]
         return min(given) if given else None
 
-    return {"rule": Rule(lambda value: "" if value is None else rule.check(value), stricter)}
+    def made_of(value: Any) -> Any:
+        return None if value == NONE else value
+
+    return {
+        "rule": Rule(lambda value: "" if value is None else rule.check(value), stricter, made_of)
+    }
 
 
 def one_of(kind: Any, stricter: Callable[[Any, Any], Any] | None = None) -> dict[str, Rule]:

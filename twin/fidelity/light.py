@@ -45,9 +45,8 @@ class LightFidelity(Knobs):
         Error of an exposure's light by interpolation between instants, where something moves during
         a frame, root mean square over patterns, as a share of the exposure's noise: light is
         rendered at as many instants as that takes, each cell at its own, and at none where motion
-        changes counts by less. None, as in the presets and under a `Tolerance`: nothing
-        moves during a frame, with a warning where motion may change counts by more than their
-        noise.
+        changes counts by less. None, or "none" in a study: nothing moves during a frame, with a
+        warning where motion may change counts by more than their noise.
     noise
         ``none``: counts of the mean, rounded. ``gaussian``: shot noise as a normal distribution,
         wrong in shape below some 100 electrons. ``full``: Poisson.
@@ -66,7 +65,7 @@ class LightFidelity(Knobs):
     light_tolerance_relative: float | None = field(
         default=None, metadata=optional_tolerance(1e-5, 1.0)
     )
-    motion_tolerance: float | None = field(default=None, metadata=optional_tolerance(1e-4, 10.0))
+    motion_tolerance: float | None = field(default=0.1, metadata=optional_tolerance(1e-4, 10.0))
     noise: Noise = field(default="full", metadata=one_of(Noise))
     air_orders: int = field(default=12, metadata=whole(0))
 

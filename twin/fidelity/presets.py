@@ -20,12 +20,18 @@ class Fidelity(RadarFidelity, LightFidelity):
 #: cells is half of it (`twin trade` measures that); comparison.
 PRESETS = {
     "draft": Fidelity(
-        samples=4, max_depth=1, nufft_tolerance=1e-3, noise="gaussian", radar_tolerance=0.3
+        samples=4,
+        max_depth=1,
+        motion_tolerance=1.0,
+        nufft_tolerance=1e-3,
+        noise="gaussian",
+        radar_tolerance=0.3,
     ),
     "standard": Fidelity(),
     "reference": Fidelity(
         samples=1024,
         max_depth=8,
+        motion_tolerance=0.03,
         nufft_tolerance=1e-10,
         radar="rough",
         radar_tolerance=0.03,

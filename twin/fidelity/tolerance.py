@@ -30,11 +30,12 @@ class Tolerance:
     ----------
     noise_share
         As a share of the sensors' own noise, 0.0001 to 10. Light: root mean square over the image,
-        of each pixel's noise; nothing moves during a frame. Radar: half of it is the error of the
-        echo of each body relative to the echo itself, since echoes may stand far above the noise,
-        and a model as exact as that would take hours; 0.001 at least, 1 at most. Reflections are
-        followed as far as bounds of what further ones add ask for, and edges diffract where a bound
-        says that they count.
+        of each pixel's noise; and half of it of each exposure's noise between the instants at
+        which light is rendered where things move during a frame. Radar: half of it is the error of
+        the echo of each body relative to the echo itself, since echoes may stand far above the
+        noise, and a model as exact as that would take hours; 0.001 at least, 1 at most. Reflections
+        are followed as far as bounds of what further ones add ask for, and edges diffract where a
+        bound says that they count.
     echo_db
         Of the level of a body's echo, in place of its share; 0.0087 to 6 dB.
     cell_share
@@ -113,6 +114,7 @@ class Tolerance:
         return Fidelity(
             light_tolerance=self.noise_share if self.cell_share is None else None,
             light_tolerance_relative=self.cell_share,
+            motion_tolerance=self.noise_share / 2 if self.noise_share > 2e-4 else 1e-4,
             radar_tolerance=self._of_echoes(bandwidth_hz),
             radar_bounces=None,
             radar_images=None,

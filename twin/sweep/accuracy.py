@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.errors import InputError
 from twin.fidelity import Accuracy, Fidelity, LightFidelity, Tolerance
+from twin.fidelity.knobs import NONE
 from twin.sweep.names import needs_radar
 
 if TYPE_CHECKING:
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 
 _ROOT, _UNSET = "fidelity.", "(not set)"
 TOLERANCE, PRESET = f"{_ROOT}tolerance", f"{_ROOT}preset"
+_MOTION = f"{_ROOT}motion_tolerance"
 #: Numbers of paths, which a tolerance chooses itself.
 _CHOSEN = (f"{_ROOT}samples", f"{_ROOT}indirect_samples")
 
@@ -68,6 +70,8 @@ def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
     knobs = [f.name for f in fields(accuracy if has_radar else LightFidelity)]
     usual, said = base.said(), accuracy.said()
     changed = {f"{_ROOT}{n}": said[n] for n in knobs if said[n] != usual[n]}
+    if changed.get(_MOTION, NONE) is None:
+        changed[_MOTION] = NONE
     if none := [n for n, value in changed.items() if value is None]:
         raise InputError(f"{none[0]}: by bounds, which a study says by {TOLERANCE} alone")
     return {**named, **changed}

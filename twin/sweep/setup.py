@@ -8,6 +8,7 @@ from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.reconstruction import Method
 from hardware.reconstruction.registry import Solve
 from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of
+from twin.fidelity.knobs import NONE
 from twin.files import InputError
 from twin.radar.device.design import RadarDesign
 from twin.scene import Scene
@@ -105,10 +106,12 @@ def _seed(value: Value) -> int:
 
 def _fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fidelity:
     """Knobs over the preset or tolerance that is named; without one over `standard`, as those of
-    `Fidelity`; where no knob is named either, those of the default tolerance.
+    `Fidelity`; where no knob is named either, those of the default tolerance. Motion during a frame
+    is followed where it is named alone: points would share no light, each being of its own times.
     """
-    knobs = {name: v for name, v in values.items() if name not in ("preset", "tolerance")}
-    accuracy: Accuracy | None = "standard" if knobs else None
+    given = {name: v for name, v in values.items() if name not in ("preset", "tolerance")}
+    accuracy: Accuracy | None = "standard" if given else None
+    knobs: Values = {"motion_tolerance": NONE, **given}
     if "preset" in values:
         name = str(values["preset"])
         accuracy = inputs.objects.get(f"fidelity {name}", name)

@@ -10,7 +10,7 @@ from hardware.formatting import number, si
 from hardware.units import quantity
 from twin.camera import capture
 from twin.errors import InputError
-from twin.fidelity import DEFAULT, Fidelity
+from twin.fidelity import DEFAULT, Fidelity, Tolerance
 from twin.fidelity.knobs import is_number
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.scene import Scene, load_scene
@@ -82,7 +82,7 @@ def fidelity_within(
             return capture(world, sensor, seed=seed, fidelity=fidelity, mesh_scene=rendered)
 
         camera = finest("camera", image, limit_s)
-        knobs = replace(knobs, light_tolerance=camera.noise_share)
+        knobs = _of_light(knobs, camera.noise_share)
     if radar is not None:
         design = load_radar(radar)
 
@@ -92,6 +92,14 @@ def fidelity_within(
         echoes = finest("radar", burst, limit_s)
         knobs = replace(knobs, radar_tolerance=echoes.noise_share / 2)
     return TimedFidelity(knobs, camera, echoes)
+
+
+def _of_light(knobs: Fidelity, share: float) -> Fidelity:
+    """The knobs with light to a share of the sensor's noise."""
+    asked = Tolerance(share).knobs()
+    return replace(
+        knobs, light_tolerance=asked.light_tolerance, motion_tolerance=asked.motion_tolerance
+    )
 
 
 def _seconds(frame_s: float | str) -> float:
@@ -108,7 +116,7 @@ def finest(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> 
 
     def timed(share: float) -> TimedShare:
         start = time.perf_counter()
-        frame(replace(DEFAULT, light_tolerance=share, radar_tolerance=share / 2))
+        frame(replace(_of_light(DEFAULT, share), radar_tolerance=share / 2))
         return TimedShare(share, (time.perf_counter() - start) / _OF_LIMIT)
 
     timed(_SHARES[0])  # compiles
