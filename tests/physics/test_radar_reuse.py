@@ -186,7 +186,7 @@ def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
     scene = world(
         plate("plate", (10, 0, 0.9)), ball("ball", (8, 2, 0.9), level=4), ground(0.0), rig=RIG
     )
-    earlier, fidelity, after = trace(scene, RADAR, keep=True), OPTICS, scene
+    earlier, fidelity, after = trace(scene, RADAR, fidelity=OPTICS, keep=True), OPTICS, scene
     if what == "rig":
         after = scene.at(Pose((0.001, 0.0, 0.9)))
     elif what == "tolerance":
@@ -201,7 +201,7 @@ def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
         after = replace(scene, objects=tuple(objects))
     else:
         after = moved(scene, "ground", [0, 0, -0.01])
-    assert trace(scene, RADAR, earlier=earlier).reused_share == 1
+    assert trace(scene, RADAR, fidelity=OPTICS, earlier=earlier).reused_share == 1
     kept = trace(after, RADAR, fidelity=fidelity, earlier=earlier)
     alone = trace(after, RADAR, fidelity=fidelity)
     assert kept.reused_share == 0
@@ -221,7 +221,7 @@ def test_a_frame_in_which_nothing_answers_may_be_an_earlier_one() -> None:
 def test_what_is_no_earlier_frame_is_an_error() -> None:
     """But another name alone makes no other design."""
     scene = world(plate("plate", (10, 0, 0)))
-    earlier = trace(scene, RADAR, keep=True)
+    earlier = trace(scene, RADAR, fidelity=OPTICS, keep=True)
     other = RADAR.with_({"waveform.n_slots": 128})
     rough, targets = Fidelity(radar="rough"), Fidelity(radar="targets")
     wrong: list[tuple[Any, RadarDesign, Fidelity, str]] = [
@@ -232,7 +232,7 @@ def test_what_is_no_earlier_frame_is_an_error() -> None:
             OPTICS,
             "earlier: a TracedFrame, expected the propagation of a frame",
         ),
-        (trace(scene, RADAR), RADAR, OPTICS, "earlier: traced without keep"),
+        (trace(scene, RADAR, fidelity=OPTICS), RADAR, OPTICS, "earlier: traced without keep"),
         (earlier, other, OPTICS, "earlier: waveform of radar 'hybrid-79', with which it was"),
         (earlier, RADAR, rough, "earlier: traced with fidelity.radar = 'optics', expected 'rough'"),
         (earlier, RADAR, targets, "earlier: traced with fidelity.radar = 'optics'"),
@@ -240,7 +240,12 @@ def test_what_is_no_earlier_frame_is_an_error() -> None:
     for what, radar, fidelity, words in wrong:
         with pytest.raises(InputError, match=words):
             trace(scene, radar, fidelity=fidelity, earlier=what)
-    assert trace(scene, RADAR.with_({"name": "renamed"}), earlier=earlier).reused_share == 1
+    assert (
+        trace(
+            scene, RADAR.with_({"name": "renamed"}), fidelity=OPTICS, earlier=earlier
+        ).reused_share
+        == 1
+    )
 
 
 def test_rates_are_those_of_now() -> None:

@@ -52,7 +52,7 @@ def scene(*objects: SceneObject, at=(0.0, 0.0, 0.0)) -> Scene:
 
 def echoes(s: Scene, count: int = 20_000, seed: int = 0):
     return trace(
-        s, RADAR, fidelity=Fidelity(radar="rough", radar_scatterers=count), seed=seed
+        s, RADAR, fidelity=Fidelity(radar="rough", radar_scatterers=count, radar_surface_seed=seed)
     ).echoes
 
 
@@ -206,14 +206,18 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     panel = box("panel", (3.0, -15, -15), (3.0125, 15, 15), material)
     s = replace(scene(panel), materials=rough(material))
     prepared = prepare_scene(
-        s, RADAR, assign_scattering_models(s, WAVELENGTH_M, with_optics=True), 1, is_rough=True
+        s,
+        RADAR,
+        assign_scattering_models(s, WAVELENGTH_M, with_optics=True),
+        1,
+        rough={"panel"},
     )
     assert {prepared.via(n) for n in range(len(prepared.images))} == {
         ()
     }  # nothing else is heard over it
     prepared = prepared.with_images(prepared.all_images)
     assert ("panel",) in {prepared.via(n) for n in range(len(prepared.images))}
-    rays = surface_clutter(s, prepared, Fidelity(radar="rough"), 0)[0]
+    rays = surface_clutter(s, prepared, {"panel"}, Fidelity(radar="rough"))[0]
     assert len(rays.source) > 1000
     assert not rays.source.any()
     assert not rays.receiver.any()
@@ -227,8 +231,8 @@ def test_the_floor_behind_a_mirror() -> None:
     mirror = plate("mirror", (22.0, 0, 0), 60.0)
     s = scene(floor(), mirror)
     roles = assign_scattering_models(s, WAVELENGTH_M, with_optics=True)
-    prepared = prepare_scene(s, RADAR, roles, 1, is_rough=True)
-    rays = surface_clutter(s, prepared, Fidelity(radar="rough"), 0)[0]
+    prepared = prepare_scene(s, RADAR, roles, 1, rough={item.name for item in s.objects})
+    rays = surface_clutter(s, prepared, {"floor"}, Fidelity(radar="rough"))[0]
     (number,) = {int(n) for n in rays.source if n}
     n = 1000
     x = 8 + 12 * (np.arange(n) + 0.5) / n

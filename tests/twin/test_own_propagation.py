@@ -105,7 +105,7 @@ def test_which_is_the_stricter() -> None:
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ("opticks", "is none of targets, paths, optics, rough, and no function .*'opticks'"),
+        ("opticks", "is none of targets, paths, optics, auto, rough, and no function .*'opticks'"),
         (7, "is none of targets"),
         (lambda scene: None, r"takes \(scene\), expected a function of \(scene, radar"),
         ("none.py:f", "does not exist"),

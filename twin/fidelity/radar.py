@@ -9,7 +9,7 @@ from hardware.own_functions import OwnFunction, OwnFunctionError, own_function
 from twin.errors import InputError
 from twin.fidelity.knobs import Knobs, Rule, depth, optional_tolerance, tolerance, whole
 
-RadarModel = Literal["targets", "paths", "optics", "rough"]
+RadarModel = Literal["targets", "paths", "optics", "auto", "rough"]
 
 _BELOW_1 = math.nextafter(1.0, 0.0)
 
@@ -62,6 +62,8 @@ class RadarFidelity(Knobs):
         no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
         ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
         ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
+        ``auto``, under a tolerance: those do whose clutter may exceed a tenth of a cell's noise, or
+        whose mirror images may lose more than a tenth of `radar_tolerance`.
         Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or
         the name of an entry point of the group ``twin.propagation``.
     nufft_tolerance
@@ -124,6 +126,9 @@ class RadarFidelity(Knobs):
         error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
+    radar_surface_seed
+        Of the places and phases of these scatterers: they belong to the scene, and are the same at
+        all times, whatever the seed of a measurement. Other seeds are other surfaces of the kind.
     """
 
     radar: RadarModel | str | Callable[..., Any] = field(default="optics", metadata=_solver())
@@ -139,3 +144,4 @@ class RadarFidelity(Knobs):
     radar_shadowed: int | None = field(default=0, metadata=whole(0, optional=True))
     radar_table_nodes: int = field(default=4, metadata=whole(1))
     radar_scatterers: int = field(default=50_000, metadata=whole(1))
+    radar_surface_seed: int = field(default=0, metadata=whole(0))

@@ -115,6 +115,7 @@ class Tolerance:
             light_tolerance=self.noise_share if self.cell_share is None else None,
             light_tolerance_relative=self.cell_share,
             motion_tolerance=self.noise_share / 2 if self.noise_share > 2e-4 else 1e-4,
+            radar="auto",
             radar_tolerance=self._of_echoes(bandwidth_hz),
             radar_bounces=None,
             radar_images=None,

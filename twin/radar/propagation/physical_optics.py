@@ -1,6 +1,6 @@
 """Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -277,12 +277,14 @@ def _on_edges(prepared: PreparedScene, sharp: Sequence[Sharp], longer: float) ->
 
 
 def surface_clutter(
-    scene: Scene, prepared: PreparedScene, fidelity: Fidelity, seed: int
+    scene: Scene, prepared: PreparedScene, rough: Collection[str], fidelity: Fidelity
 ) -> tuple[Contributions, list[str]]:
-    """Contributions of rough surfaces, and which ones have no gamma or one that is assumed."""
+    """Contributions of the surfaces that count as ``rough``, by name, and which ones have no gamma
+    or one that is assumed.
+    """
     surfaces, remarks, motions = [], [], prepared.motions
     for number, (item, role) in enumerate(zip(prepared.items, prepared.roles, strict=True)):
-        if role is not ScatteringModel.SURFACE:
+        if role is not ScatteringModel.SURFACE or item.name not in rough:
             continue
         relief = scene.materials[item.material].surface
         gamma = relief.backscatter_gamma if relief else None
@@ -297,7 +299,11 @@ def surface_clutter(
     if not surfaces:
         return Contributions.none(), remarks
     echoes = clutter_echoes(
-        prepared.context, prepared.anchor_m, surfaces, fidelity.radar_scatterers, seed
+        prepared.context,
+        prepared.anchor_m,
+        surfaces,
+        fidelity.radar_scatterers,
+        fidelity.radar_surface_seed,
     )
     return echoes, list(dict.fromkeys(remarks))
 

@@ -1,6 +1,6 @@
 """The solver of physical optics: all echoes of a scene, paths by name and dense ones."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -46,6 +46,7 @@ from twin.radar.propagation.physical_optics import (
 )
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
+from twin.radar.propagation.roughness import rough_surfaces
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
@@ -87,9 +88,9 @@ def echoes(
 
     Raises InputError where a material has no data at the carrier.
     """
-    is_rough = fidelity.radar == "rough"
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
-    prepared, has_more_images = _prepared(scene, radar, roles, fidelity, is_rough)
+    rough, on_roughness = rough_surfaces(scene, radar, roles, fidelity)
+    prepared, has_more_images = _prepared(scene, radar, roles, fidelity, rough)
     of_bodies = scattered(
         prepared,
         radar,
@@ -106,7 +107,7 @@ def echoes(
     shadowed = at_antenna(round_obstacles.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
     levels = _levels(prepared, radar, fidelity, of_bodies, surfaces)
-    decisions = [*_on_faint_bodies(prepared, radar, levels)]
+    decisions = [*on_roughness, *_on_faint_bodies(prepared, radar, levels)]
     left_out = np.zeros(len(levels.names))
     for decided, missing in (
         _reflections(levels, fidelity, of_bodies.choice, radar),
@@ -115,9 +116,7 @@ def echoes(
     ):
         decisions += decided
         left_out += missing
-    clutter, on_clutter = Contributions.none(), list[str]()
-    if is_rough:
-        clutter, on_clutter = surface_clutter(scene, prepared, fidelity, seed)
+    clutter, on_clutter = surface_clutter(scene, prepared, rough, fidelity)
     of_edges = at_antenna(edges.echoes, prepared, radar)
     diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])
     diffuse = diffuse.in_proportion_to_wavelength()
@@ -163,17 +162,15 @@ def _prepared(
     radar: RadarDesign,
     roles: Sequence[Assignment],
     fidelity: Fidelity,
-    is_rough: bool,
+    rough: Collection[str],
 ) -> tuple[PreparedScene, NDArray[np.bool_] | None]:
     """With the images that are followed; by bounds also to which objects there are further ones."""
     if fidelity.radar_images is not None:
-        return _with_images(scene, radar, roles, fidelity, is_rough), None
+        return _with_images(scene, radar, roles, fidelity, rough), None
     # One more reflection, to know whether there is any beyond those that are followed.
-    prepared = prepare_scene(
-        scene, radar, roles, MOST_IMAGES + 1, is_rough=is_rough, many=MANY_IMAGES
-    )
+    prepared = prepare_scene(scene, radar, roles, MOST_IMAGES + 1, rough=rough, many=MANY_IMAGES)
     if prepared.has_more_images and _echo_paths(prepared) <= MOST_ECHO_PATHS / _MORE_BY_TWO:
-        further = prepare_scene(scene, radar, roles, MOST_IMAGES, is_rough=is_rough)
+        further = prepare_scene(scene, radar, roles, MOST_IMAGES, rough=rough)
         if _echo_paths(further) <= MOST_ECHO_PATHS:
             prepared = replace(further, has_more_images=True)
     return prepared.up_to(MOST_IMAGES)
@@ -184,7 +181,7 @@ def _with_images(
     radar: RadarDesign,
     roles: Sequence[Assignment],
     fidelity: Fidelity,
-    is_rough: bool,
+    rough: Collection[str],
 ) -> PreparedScene:
     """With all images of as many reflections as are given.
 
@@ -195,7 +192,7 @@ def _with_images(
     by_bounds = None in (getattr(fidelity, f"radar_{knob}") for knob in others)
     limit = MOST_ECHO_PATHS if by_bounds else MOST_PATHS_BY_HAND
     for order in range(min(most, 2), most + 1):
-        prepared = prepare_scene(scene, radar, roles, order, is_rough=is_rough)
+        prepared = prepare_scene(scene, radar, roles, order, rough=rough)
         if order > 1 and (paths := _echo_paths(prepared)) > limit:
             images = len(prepared.all_images) - 1
             raise InputError(

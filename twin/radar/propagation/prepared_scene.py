@@ -3,7 +3,7 @@
 What depends only on the meshes is cached between calls.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -130,14 +130,14 @@ def prepare_scene(
     roles: Sequence[Assignment],
     order: int,
     *,
-    is_rough: bool = False,
+    rough: Collection[str] = (),
     many: float = np.inf,
 ) -> PreparedScene:
     """Prepare a scene for a radar at its pose.
 
     ``order``: reflections at large surfaces on a path, at most, one where there are more than
-    ``many`` images; ``is_rough``: they lose what roughness scatters, and scatter. Raises InputError
-    where a material has no data at the carrier.
+    ``many`` images; ``rough``: names of those that lose what roughness scatters, and scatter.
+    Raises InputError where a material has no data at the carrier.
     """
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
@@ -150,7 +150,7 @@ def prepare_scene(
     solid = [item for item in traced_items if item.name not in slabs]
     clear = [item for item in traced_items if item.name in slabs]
     surfaces, surface_of_object, assumed = _surfaces(
-        scene, [*solid, *clear], role_of, carrier, is_rough
+        scene, [*solid, *clear], role_of, carrier, rough
     )
     mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
@@ -203,7 +203,7 @@ def prepare_scene(
         surface_of_object=surface_of_object,
         assumptions=assumed,
     )
-    return _culled(prepared, declared_alone(scene, roles), beam, is_rough, found.left_out, limit)
+    return _culled(prepared, declared_alone(scene, roles), beam, rough, found.left_out, limit)
 
 
 def _limit(radar: RadarDesign) -> float:
@@ -216,15 +216,18 @@ def _culled(
     prepared: PreparedScene,
     points: Sequence[Target],
     beam: Beam,
-    is_rough: bool,
+    rough: Collection[str],
     faint: float,
     limit: float,
 ) -> PreparedScene:
     """The prepared scene with the images and paths that are traced."""
-    echoing = (
-        (ScatteringModel.OPTICS, ScatteringModel.SURFACE) if is_rough else (ScatteringModel.OPTICS,)
+    numbers = np.flatnonzero(
+        [
+            role is ScatteringModel.OPTICS
+            or (role is ScatteringModel.SURFACE and item.name in rough)
+            for item, role in zip(prepared.items, prepared.roles, strict=True)
+        ]
     )
-    numbers = np.flatnonzero([role in echoing for role in prepared.roles])
     antennas = image_antennas_of(prepared.all_images, prepared.flats, prepared.axes[0], beam)
     boxes = boxes_of([prepared.items[i] for i in numbers]) - prepared.anchor_m
     share = shares(antennas, boxes, prepared.flats, beam)
@@ -263,7 +266,7 @@ def _surfaces(
     items: Sequence[SceneObject],
     role_of: dict[str, ScatteringModel],
     carrier_hz: float,
-    is_rough: bool,
+    rough: Collection[str],
 ) -> tuple[tuple[tuple[LayeredSurface, float], ...], NDArray[np.uint32], tuple[str, ...]]:
     """Different surfaces with their roughness, which one each object has, and what is assumed."""
     number_of: dict[tuple[LayeredSurface, float], int] = {(PEC, 0.0): 0}
@@ -275,7 +278,7 @@ def _surfaces(
         surface, why = surface_of(item, scene, carrier_hz)
         relief = scene.materials[item.material].surface
         height = 0.0
-        if is_rough and relief is not None and role_of[item.name] is ScatteringModel.SURFACE:
+        if item.name in rough and relief is not None:
             height = relief.rms_height_m.value
         numbers[i] = number_of.setdefault((surface, height), len(number_of))
         if why:

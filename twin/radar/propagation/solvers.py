@@ -63,6 +63,9 @@ class Solver:
 
 
 _POINTS = "declared targets answer with a constant cross-section from one point"
+_SCATTERS = (
+    "rough surfaces scatter from fixed points of random phase, reached by direct paths alone"
+)
 _SMOOTH = "surfaces are smooth and large against the Fresnel zone where they reflect"
 
 
@@ -94,14 +97,19 @@ SOLVERS: dict[str, Solver] = {
         has_tolerance=True,
         reusing=echoes,
     ),
+    "auto": Solver(
+        echoes,
+        "physical optics, rough surfaces where they count",
+        (_POINTS, _SCATTERS),
+        is_seeded=False,
+        has_tolerance=True,
+        reusing=echoes,
+    ),
     "rough": Solver(
         echoes,
         "physical optics, rough surfaces",
-        (
-            _POINTS,
-            "rough surfaces scatter from fixed points of random phase, reached by direct paths "
-            "alone",
-        ),
+        (_POINTS, _SCATTERS),
+        is_seeded=False,
         has_tolerance=True,
         reusing=echoes,
     ),
@@ -137,7 +145,7 @@ def trace(
         Knobs, a preset's name or a `Tolerance`; ``radar`` among them decides which solver finds
         the echoes.
     seed
-        Of the rays that look for surfaces, and of rough ones.
+        Of the rays of ``paths`` that look for surfaces.
     earlier, keep
         Another frame of the same design (but for its name) and ``fidelity.radar``, traced in full
         with ``keep``: of the echoes of meshes' facets those are not found anew on whose paths

@@ -73,22 +73,26 @@ def field_of(item: SceneObject, count: int, seed: int) -> Field:
     held = _fields.setdefault(item.geometry, {})
     if name in held and held[name][:2] == (seed, count):
         return held[name][2]
-    rng = np.random.default_rng([seed, name])
+    held[name] = seed, count, sampled(item, count, seed)
+    return held[name][2]
+
+
+def sampled(item: SceneObject, count: int, seed: int) -> Field:
+    """So many points on an object, and random numbers by its name and the seed."""
+    rng = np.random.default_rng([seed, crc32(item.name.encode())])
     area = item.geometry.areas_m2
     # Stratified over the faces' areas: no face has more or less than its share.
     at = (np.arange(count) + rng.random(count)) / count
     face = np.minimum(np.searchsorted(np.cumsum(area) / area.sum(), at), len(area) - 1)
     u, v = rng.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    field = Field(
+    return Field(
         face=face,
         weights=np.stack([1 - u - v, u, v], axis=1),
         phase=rng.uniform(0, 2 * np.pi, count),
         chance=rng.random(count),
         area_m2=float(area.sum()) / count,
     )
-    held[name] = seed, count, field
-    return field
 
 
 def clutter_echoes(

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 #: Times, at most, at which direct echoes are compared over an interval.
 _MOST_TIMES = 33
 #: Solvers that find direct echoes as `optics` does.
-_CHECKED = ("optics", "rough")
+_CHECKED = ("optics", "auto", "rough")
 _HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
 
 

@@ -1,0 +1,103 @@
+"""Which large surfaces count as rough: those whose clutter, or whose loss, a bound says counts."""
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.accuracy import Decision
+from twin.fidelity import Fidelity
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
+from twin.radar.propagation.physical_optics import loss_of
+from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.scattering_models import Assignment, ScatteringModel
+from twin.radar.propagation.surface_clutter import coherent, sampled
+from twin.scene import Scene, SceneObject
+
+Array = NDArray[np.float64]
+
+_POINTS = 2**14  # on each surface
+#: Amplitude of what reaches a point directly and over one mirror, out and home, over the direct
+#: one's.
+_BY_IMAGES = 4.0
+
+
+def rough_surfaces(
+    scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
+) -> tuple[frozenset[str], tuple[Decision, ...]]:
+    """Names of the large surfaces that lose what they scatter, and scatter it; and, where
+    ``fidelity.radar`` is ``auto``, the decisions on them.
+
+    A surface counts where its clutter in any range cell, as if nothing hid it and over one mirror
+    as well, may exceed a tenth of the noise of a cell of the map; or where what it mirrors loses
+    more at normal incidence, where it loses most, than is permitted of each effect.
+    """
+    if fidelity.radar not in ("auto", "rough"):
+        return frozenset(), ()
+    large = {a.name for a in roles if a.role is ScatteringModel.SURFACE}
+    if fidelity.radar == "rough":
+        return frozenset(large), ()
+    permitted = OF_TOLERANCE * fidelity.radar_tolerance
+    names, decisions = set[str](), list[Decision]()
+    for item in scene.objects:
+        relief, began_s = scene.materials[item.material].surface, perf_counter()
+        if item.name not in large:
+            continue
+        if relief is None:  # of which is remarked that it does not scatter
+            names.add(item.name)
+            continue
+        gamma = relief.backscatter_gamma
+        clutter = _clutter(scene, radar, item, gamma.value) if gamma else 0.0
+        loss = 1 - float(
+            coherent(relief.rms_height_m.value, np.ones(1), radar.ofdm.wavelength_m)[0]
+        )
+        is_taken = clutter > OF_NOISE or loss > permitted
+        if is_taken:
+            names.add(item.name)
+        cost_s = perf_counter() - began_s
+        decisions += [
+            Decision(
+                "radar",
+                f"clutter of {item.name}",
+                clutter,
+                OF_NOISE,
+                "of a cell's noise",
+                is_taken,
+                cost_s,
+            ),
+            Decision(
+                "radar",
+                f"what {item.name} scatters of what it mirrors",
+                loss,
+                permitted,
+                "of the echo",
+                is_taken,
+                0.0,
+            ),
+        ]
+    return frozenset(names), tuple(decisions)
+
+
+def _clutter(scene: Scene, radar: RadarDesign, item: SceneObject, gamma: float) -> float:
+    """Bound of the clutter of a surface in a range cell, over the noise of a cell of the map, both
+    root mean square: gamma cos(theta) a unit of area, the antenna's gain towards it.
+    """
+    field = sampled(item, _POINTS, seed=0)
+    place, axes = scene.rig.device("radar")
+    corners = item.vertices_m[item.geometry.faces[field.face]] - (scene.rig.position_m + place)
+    points = np.einsum("nk,nkd->nd", field.weights, corners)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    distance = np.maximum(np.linalg.norm(points, axis=1), radar.ofdm.wavelength_m)
+    towards = points / distance[:, None]
+    size = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+    cosine = np.abs(np.sum(towards * across, axis=1)) / size
+    gain = radar.antenna.gain(towards @ axes.T)
+    scale = loss_of(radar) * radar.ofdm.wavelength_m / (4 * np.pi) ** 1.5
+    power = (scale * gain) ** 2 * gamma * cosine * field.area_m2 / distance**4
+    cell_m = speed_of_light / (2 * radar.total_bandwidth_hz)
+    cell = np.minimum(distance / cell_m, _POINTS).astype(np.int64)
+    most = np.bincount(cell, weights=power).max(initial=0.0)
+    return float(_BY_IMAGES * np.sqrt(most) / noise_amplitude(radar))
