@@ -67,7 +67,7 @@ def run(
     radar_model: Annotated[
         str | None,
         typer.Option(
-            help="targets, paths, optics, rough or file.py:function, in place of fidelity's."
+            help="targets, paths, optics, auto, rough or file.py:function, in place of fidelity's."
         ),
     ] = None,
     method: Annotated[
