@@ -148,7 +148,7 @@ def run(
                 weather = systems[0].weather if systems else None
                 echoes = _radar(world, design, weather, seed, knobs, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
-            write_summary(evaluations, echoes, partial)
+            write_summary(view, evaluations, echoes, partial)
             if figures:
                 with stages.stage("figures"):
                     _write_figures(view, evaluations, echoes, partial)

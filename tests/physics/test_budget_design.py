@@ -2,15 +2,17 @@
 
 import json
 import math
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from twin import cli
 from twin.budget import wall_rows
 from twin.budget.design import left_out
-from twin.budget.report import write_design
+from twin.budget.report import print_design, write_design
 from twin.camera import capture
 from twin.errors import InputError
 from twin.fidelity import Fidelity
@@ -96,6 +98,10 @@ def test_saturation_is_void_here_too(system, tmp_path: Path) -> None:
     assert written["snr_per_pixel"] is None
     # A shorter exposure does not help: behind an amplifier that averages, volts follow power.
     assert row.minimum_time_s == math.inf
+    printed = StringIO()
+    print_design(made, [row], Console(file=printed, width=250))
+    assert "none" in printed.getvalue()
+    assert "inf" not in printed.getvalue()
 
 
 def budget(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:

@@ -2,6 +2,7 @@
 
 import csv
 import filecmp
+import html
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from hardware import read_record, reconstruct
+from hardware.formatting import number
 from hardware.radar.process import process
 from hardware.records import read_radar_record
 from tests.still import still_yard
@@ -147,11 +149,18 @@ def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:
         assert f"{name} {interval}" in page
     assert figures["workable", "SNR per pixel, median of the lit cells"]["systematic"] > 0
     assert figures["workable", "frame time"]["standard_error"] == 0
+    page = html.unescape((finished / "report.html").read_text())
+    moved = figures["workable", "share of the converter's range that patterns move"]["value"]
+    assert f"patterns move {moved:.2%} of" in page
+    emitted = figures["workable", "emitter's share of the light in the band"]["value"]
+    assert f"emitter, all cells lit: {emitted:.1%} of" in page
+    measured = figures["workable", "noise per exposure as found in the record"]["value"]
+    assert f"{number(measured, 4)} e- found in the record" in page
     with (finished / "detections.csv").open() as file:
         rows = list(csv.DictReader(file))
-    for number, row in enumerate(rows):
+    for index, row in enumerate(rows):
         level = next(
-            f for f in summary["figures"] if _of_detection(f["of"], number) and f["name"] == "level"
+            f for f in summary["figures"] if _of_detection(f["of"], index) and f["name"] == "level"
         )
         error = float(row["model_level_dbm_standard_error"])
         assert level["standard_error"] == (error if np.isfinite(error) else None)

@@ -124,7 +124,7 @@ def run(
         scene=result.scene.name,
         out=result.out,
         seconds=result.seconds,
-        **summary(result.evaluations, result.radar),
+        **summary(result.view, result.evaluations, result.radar),
     )
     say.written(result.out / "report.html", name="report")
 

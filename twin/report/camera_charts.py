@@ -9,6 +9,7 @@ from hardware.patterns import OwnPatterns, RasterScan
 from twin.camera.evaluation import Evaluation
 from twin.camera.view import View
 from twin.report import charts
+from twin.report.measured import emitter_share, range_used
 from twin.report.overview import grey
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ _MOST_POINTS = 8192  # of a series; of a longer one every n-th
 
 def light_charts(view: View) -> Iterator[charts.Chart]:
     """The scene in the light of the sun and in that of the emitter."""
-    share = view.emitter.sum() / max(view.total.sum(), np.finfo(float).tiny)
+    share = emitter_share(view)
     yield _picture(f"sun: {1 - share:.1%} of the light in the band", grey(view.sun))
     yield _picture(f"emitter, all cells lit: {share:.1%} of the light", grey(view.emitter))
 
@@ -72,7 +73,6 @@ def counts_chart(evaluation: Evaluation) -> charts.Chart:
     kind = "own" if isinstance(patterns, OwnPatterns) else "Hadamard"
     scanned = f"cell of the scan, {len(record.shutters)} shutters each"
     raster = isinstance(patterns, RasterScan)
-    used = np.ptp(counts) / 2**record.adc_bits
     layers, longest = [], 1
     for name, colour, values in series:
         step = max(1, -(-len(values) // _MOST_POINTS))
@@ -81,8 +81,9 @@ def counts_chart(evaluation: Evaluation) -> charts.Chart:
         layers.append(charts.layer(words, at, values[at], mark="dot", colour=colour))
         longest = max(longest, len(values))
     pad = max(0.05 * float(np.ptp(counts)), 1.0)
+    used = f"patterns move {range_used(evaluation):.2%} of the converter's range"
     return {
-        "title": f"{evaluation.system.name}: patterns move {used:.2%} of the converter's range",
+        "title": f"{evaluation.system.name}: {used}",
         "equal": False,
         "axes": True,
         "x": charts.axis(

@@ -18,6 +18,7 @@ from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
 from twin.report import camera_charts, charts, decisions, overview, radar_charts
 from twin.report.findings import camera_finding
+from twin.report.measured import noise_found_e
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import radar_summary
 from twin.report.scene_model import scene_model
@@ -165,8 +166,8 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     """Key figures of one system, by name."""
     capture, system = evaluation.capture, evaluation.system
     lens, noise, patterns = capture.lens, capture.noise, system.patterns
-    best, verdict = evaluation.reconstructions[0], evaluation.verdict
-    measured_noise_e = float(np.sqrt(np.mean(best.noise_electrons**2))) / _per_value(evaluation)
+    verdict = evaluation.verdict
+    found_e = noise_found_e(evaluation)
     rendering = capture.cells_error_e / noise.pixel_noise_e(patterns)
     intervals, error = evaluation.intervals, capture.model_error
     images = zip(evaluation.reconstructions, evaluation.score_intervals, strict=True)
@@ -196,8 +197,8 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         f"dark {number(noise.dark_e)}",
         "noise per exposure": f"{intervals.noise_e} e- predicted, "
         + (
-            f"{number(measured_noise_e, 4)} e- found in the record"
-            if np.isfinite(measured_noise_e)
+            f"{number(found_e, 4)} e- found in the record"
+            if np.isfinite(found_e)
             else "not told by the record"
         ),
         "noise per pixel": f"{number(float(noise.pixel_noise_e(patterns)))} e-",
@@ -214,8 +215,3 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
 def _si(value: float, statistical: float, systematic: float = 0.0) -> str:
     """With an SI prefix and its interval; ``statistical``, ``systematic``: shares of the value."""
     return Interval(value, value * statistical, value * systematic).text("W")
-
-
-def _per_value(evaluation: Evaluation) -> float:
-    """Noise of a Hadamard measurement over that of one exposure."""
-    return 2**0.5 if evaluation.system.patterns.mode == "differential" else 2.0

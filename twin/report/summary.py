@@ -12,11 +12,13 @@ from hardware.formatting import json_text
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
 from twin.camera.verdict import lit_cells
+from twin.camera.view import View
 from twin.errors import InputError
 from twin.optics.hazards import least_margins
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
 from twin.report.findings import Finding, camera_finding
+from twin.report.measured import emitter_share, noise_found_e, range_used
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import budget_figures
 
@@ -25,14 +27,19 @@ _FORMAT, _VERSION = "ugv-twin-summary", 1
 
 
 def write_summary(
-    evaluations: Sequence[Evaluation], radar: RadarEvaluation | None, folder: Path
+    view: View | None,
+    evaluations: Sequence[Evaluation],
+    radar: RadarEvaluation | None,
+    folder: Path,
 ) -> None:
     """Write `summary` as ``summary.json``."""
-    text = json_text(summary(evaluations, radar))
+    text = json_text(summary(view, evaluations, radar))
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
 
 
-def summary(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> dict[str, Any]:
+def summary(
+    view: View | None, evaluations: Sequence[Evaluation], radar: RadarEvaluation | None
+) -> dict[str, Any]:
     """Every figure of a run, and every decision of its models.
 
     Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
@@ -42,6 +49,9 @@ def summary(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) ->
     """
     figures = [figure for evaluation in evaluations for figure in camera_figures(evaluation)]
     figures += _at_equal_time(evaluations)
+    if view:
+        of, name = (evaluations[0].system.name,), "emitter's share of the light in the band"
+        figures.append(Figure(of, name, "", Interval(emitter_share(view))))
     decisions: list[Decision] = [d for e in evaluations for d in e.capture.decisions]
     findings = [camera_finding(evaluation) for evaluation in evaluations]
     if radar:
@@ -77,6 +87,7 @@ def _at_equal_time(evaluations: Sequence[Evaluation]) -> Iterator[Figure]:
         of, name = (evaluation.system.name,), "SNR per pixel, median, averaged over equal time"
         snr = propagated(lambda s, n=frames: s * n**0.5, evaluation.intervals.snr_median)
         yield Figure(of, name, "", snr)
+        yield Figure(of, "frames averaged over equal time", "", Interval(frames))
 
 
 def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
@@ -107,11 +118,14 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
         ("illuminance", "lx", capture.illuminance_lx),
         ("sun in the band", "W/m²", capture.sun_irradiance_w_per_m2),
         ("emitter line inside the filter", "", capture.in_band_fraction),
+        ("share of the converter's range that patterns move", "", range_used(evaluation)),
         ("focal length of the detector's lens", "m", lens.focal_length_m),
         ("pupil of the detector's lens", "m", lens.pupil_diameter_m),
     )
     for name, unit, value in exact:
         yield Figure(of, name, unit, Interval(value))
+    if np.isfinite(found_e := noise_found_e(evaluation)):
+        yield Figure(of, "noise per exposure as found in the record", "e-", Interval(found_e))
     for name, noise_e in noise.noise_e.items():
         yield Figure((*of, name), "noise per exposure, rms", "e-", Interval(noise_e))
     yield from _eye_safety(evaluation)
