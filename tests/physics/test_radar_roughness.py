@@ -76,7 +76,7 @@ def test_surfaces_are_rough_where_it_counts(
 
 @pytest.mark.parametrize("height_m", [0.05, 0.5, 3.0])
 def test_no_cell_has_more_clutter_than_the_bound(height_m: float) -> None:
-    """Power of all scatterers in the strongest range cell, of four surfaces: within the bound, which
+    """Power of all scatterers in the strongest range cell, of four surfaces: within the bound, that
     stays within 20 dB of it: it takes an image for as strong as the direct wave, 12 dB.
     """
     scene, noise = over_floor(1e-3, 0.05, height_m), noise_amplitude(RADAR)
