@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,22 @@ from twin.trade.bodies import echoes_by_body, reference_bodies
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Truths where sums of currents would take too long; and spacings of those, in wavelengths. Each
-#: twice: the difference is the error of the finer one.
+#: Truths where sums of currents would take too long, and of waves round obstacles everywhere; and
+#: spacings of those sums, in wavelengths. Each twice: the difference is the error of the finer one.
 _FINE, _FINEST = (
-    Fidelity(radar_tolerance=t, radar_bounces=5, radar_images=3) for t in (0.01, 0.005)
+    Fidelity(
+        radar_tolerance=tolerance,
+        radar_bounces=5,
+        radar_images=3,
+        radar_shadow_db=60.0,
+        radar_shadowed=cells,
+    )
+    for tolerance, cells in ((0.01, 2000), (0.005, 4000))
 )
 _SPACINGS = (1 / 9, 1 / 16)
 _BODIES = 5  # of a case at most: the strongest, and others down to the faintest
 _TOLERANCES, _BOUNCES, _IMAGES = (1.0, 0.5, 0.3, 0.1, 0.03, 0.01), (1, 2, 3), (0, 1)
+_SHADOWED = (0, 1000)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +67,7 @@ class _Compared:
 
 def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
     """Every body within 40 dB of the strongest, and above the noise."""
-    # The truth knows no waves round obstacles.
-    fidelity, radar = Tolerance(case.tolerance).knobs().with_(radar_shadowed=0), case.radar
+    fidelity, radar = Tolerance(case.tolerance).knobs(), case.radar
     trace(case.scene, radar, fidelity=fidelity)  # compiles
     begin = time.process_time()
     propagation = trace(case.scene, radar, fidelity=fidelity)
@@ -88,26 +96,40 @@ def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
 
 def _truth(case: RadarCase, propagation: Propagation) -> _Truth:
     radar, frequencies = case.radar, band_of(case.radar.ofdm)
-    if case.bounces:
-        bodies = [o for o in case.scene.objects if o is not case.ground]
-        coarse, fine = (
-            mirrored_currents.echoes(
-                bodies,
-                radar,
-                frequencies,
-                case.bounces,
-                spacing * radar.ofdm.wavelength_m,
-                case.ground,
-                least=4,
-            )
-            for spacing in _SPACINGS
+    finest, fine = (trace(case.scene, radar, fidelity=each) for each in (_FINEST, _FINE))
+    if not case.bounces:
+        found = reference_bodies(case.scene, radar, _FINEST, finest, 0)
+        echoes = (echoes_by_body(p, found.names, radar, frequencies) for p in (finest, fine))
+        return _Truth(found.names, found.echo, np.subtract(*echoes))
+    bodies = [o for o in case.scene.objects if o is not case.ground]
+    names = tuple((o.name,) for o in bodies)
+    coarse, exact = (
+        mirrored_currents.echoes(
+            bodies,
+            radar,
+            frequencies,
+            case.bounces,
+            spacing * radar.ofdm.wavelength_m,
+            case.ground,
+            least=4,
         )
-        return _Truth(tuple((o.name,) for o in bodies), fine, fine - coarse)
-    finest = trace(case.scene, radar, fidelity=_FINEST)
-    found = reference_bodies(case.scene, radar, _FINEST, finest, 0)
-    fine = trace(case.scene, radar, fidelity=_FINE)
-    echoes = (echoes_by_body(p, found.names, radar, frequencies) for p in (finest, fine))
-    return _Truth(found.names, found.echo, np.subtract(*echoes))
+        for spacing in _SPACINGS
+    )
+    # Currents know no waves round obstacles.
+    around, less_exact = (
+        _around_obstacles(case, names, *pair) for pair in ((finest, _FINEST), (fine, _FINE))
+    )
+    return _Truth(names, exact + around, exact - coarse + around - less_exact)
+
+
+def _around_obstacles(
+    case: RadarCase, names: tuple[tuple[str, ...], ...], whole: Propagation, fidelity: Fidelity
+) -> Complex:
+    """What waves round obstacles add to each body, (n_bodies, n_frequencies)."""
+    radar, frequencies = case.radar, band_of(case.radar.ofdm)
+    without = trace(case.scene, radar, fidelity=fidelity.with_(radar_shadowed=0))
+    both = (echoes_by_body(p, names, radar, frequencies) for p in (whole, without))
+    return np.asarray(np.subtract(*both))
 
 
 def _errors(
@@ -143,27 +165,32 @@ def _cheapest(case: RadarCase, truth: _Truth, most_s: float) -> Cheapest | None:
     """
     best: Cheapest | None = None
     permitted = Tolerance(case.tolerance).knobs().radar_tolerance
-    for images in _IMAGES:
-        for bounces in _BOUNCES:
-            for tolerance in _TOLERANCES:
-                fidelity = Fidelity(
-                    radar_tolerance=tolerance, radar_bounces=bounces, radar_images=images
+    for shadowed, images, bounces in product(_SHADOWED, _IMAGES, _BOUNCES):
+        for tolerance in _TOLERANCES:
+            fidelity = Fidelity(
+                radar_tolerance=tolerance,
+                radar_bounces=bounces,
+                radar_images=images,
+                radar_shadowed=shadowed,
+            )
+            begin = time.process_time()
+            trace(case.scene, case.radar, fidelity=fidelity)
+            first = time.process_time() - begin
+            if first > 3 * most_s + 0.5:
+                break
+            begin = time.process_time()
+            propagation = trace(case.scene, case.radar, fidelity=fidelity)
+            seconds = time.process_time() - begin
+            if seconds > most_s:
+                break
+            errors = [c.true for c in _errors(case, propagation, truth, permitted)]
+            if max(errors, default=0.0) <= permitted:
+                knobs = (
+                    f"tolerance {tolerance:g}, {bounces} bounces, {images} images, "
+                    f"{shadowed} cells in shadows"
                 )
-                begin = time.process_time()
-                trace(case.scene, case.radar, fidelity=fidelity)
-                first = time.process_time() - begin
-                if first > 3 * most_s + 0.5:
-                    break
-                begin = time.process_time()
-                propagation = trace(case.scene, case.radar, fidelity=fidelity)
-                seconds = time.process_time() - begin
-                if seconds > most_s:
-                    break
-                errors = [c.true for c in _errors(case, propagation, truth, permitted)]
-                if max(errors, default=0.0) <= permitted:
-                    knobs = f"tolerance {tolerance:g}, {bounces} bounces, {images} images"
-                    best, most_s = Cheapest(seconds, knobs), seconds
-                    break
+                best, most_s = Cheapest(seconds, knobs), seconds
+                break
     return best
 
 
