@@ -89,7 +89,7 @@ def test_a_sensor_that_a_wall_would_not_tell_is_rendered_for(
     plan = load_study(study(SENSORS, HEAD))
     inputs = inputs_of(plan)
     made = setup(plan, plan.point(0), inputs)
-    key = shared_light.light_key(made)
+    key = shared_light.light_key(made, inputs)
     sensors = shared_light._sensors(plan, plan.same_render(0), inputs)[key]
     shared = shared_light._within_all(made, sensors)
     assert max(shared.over.values()) <= 1

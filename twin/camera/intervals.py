@@ -8,6 +8,7 @@ what changes in the truth, in part.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -96,8 +97,7 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
         for part in (capture.cells_error_e, capture.light_systematic_e)
     )
     common, common_bound = (float(np.max(part)) for part in (error.noise, error.noise_systematic))
-    rng = np.random.default_rng(_SEED)
-    each, together = rng.standard_normal((_DRAWS, snr.size)), rng.standard_normal((_DRAWS, 1))
+    each, together = _normal_draws(snr.size)
     drawn = value(snr * np.maximum(1 + own * each, 0) * (1 + common * together))
     here = float(value(snr))
     systematic = abs(float(drawn.mean()) - here)
@@ -149,9 +149,8 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
     known, value = np.isfinite(truth), psnr_db(truth, image.picture - capture.backscatter_e)
     if not np.isfinite(value):
         return Interval(value)
-    follows = Follows(capture, image)
-    unfollowed = follows.rest(_drawn(capture, np.random.default_rng(_SEED)))[known]
-    bound = np.abs(follows.rest(capture.light_systematic_e + 0 * truth))[known]
+    of_draw, of_bound = _unfollowed(capture, image)
+    unfollowed, bound = of_draw[known], np.abs(of_bound[known])
     spread_e, bound_e = capture.cells_error_e, capture.light_systematic_e + 0 * truth
     brightest = np.unravel_index(np.nanargmax(truth), truth.shape)
     peak, mean_square, error = truth[brightest], float(np.mean(off[known] ** 2)), off[known]
@@ -177,19 +176,15 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     known, value = np.isfinite(truth), similarity(truth, seen)
     if not (np.isfinite(value) and truth[known].max(initial=0.0) > 0):
         return Interval(value)
-    follows, rng = Follows(capture, image), np.random.default_rng(_SEED)
-
     # The image's error grows with the noise, and that with the light.
     noise, off = noise_interval(capture), seen - truth
     # One draw and what the image leaves of it; others have blocks of it with the opposite sign.
-    draw = _drawn(capture, rng)
-    rest = follows.rest(draw)
-    signs = [_signs_of_blocks(truth.shape, rng) for _ in range(_DRAWS_OF_IMAGES)]
-    moves = [(sign * draw, sign * rest) for sign in signs]
+    draw, (rest, rest_of_bound) = _drawn(capture), _unfollowed(capture, image)
+    moves = [(sign * draw, sign * rest) for sign in _image_draws(truth.shape)[1]]
     bound = capture.light_systematic_e + 0 * truth
     is_bounded = bool(np.isfinite(bound[known]).all() and bound[known].any())
     if is_bounded:
-        moves.append((bound, follows.rest(bound)))
+        moves.append((bound, rest_of_bound))
     noisier, *drawn = similarities(
         [truth, *(truth + by for by, _ in moves)],
         [truth + (1 + _STEP) * off, *(seen + by + left for by, left in moves)],
@@ -253,8 +248,32 @@ def _off(capture: Capture, image: Reconstruction) -> Array:
     return np.asarray(image.picture - capture.backscatter_e - capture.measured_scene_e)
 
 
-def _drawn(capture: Capture, rng: np.random.Generator) -> Array:
-    return np.asarray(capture.cells_error_e * rng.normal(size=capture.cells_e.shape))
+def _drawn(capture: Capture) -> Array:
+    return np.asarray(capture.cells_error_e * _image_draws(capture.cells_e.shape)[0])
+
+
+@lru_cache(maxsize=2)
+def _unfollowed(capture: Capture, image: Reconstruction) -> tuple[Array, Array]:
+    """What the image leaves of the drawn error of its truth, and of its bound; kept for the next
+    score of the same image.
+    """
+    follows, bound = Follows(capture, image), capture.light_systematic_e
+    return follows.rest(_drawn(capture)), follows.rest(bound + 0 * capture.measured_scene_e)
+
+
+@lru_cache(maxsize=8)
+def _normal_draws(n_cells: int) -> tuple[Array, Array]:
+    """Normal draws (_DRAWS, n_cells), and those that all cells share, (_DRAWS, 1)."""
+    rng = np.random.default_rng(_SEED)
+    return rng.standard_normal((_DRAWS, n_cells)), rng.standard_normal((_DRAWS, 1))
+
+
+@lru_cache(maxsize=8)
+def _image_draws(shape: tuple[int, ...]) -> tuple[Array, tuple[Array, ...]]:
+    """A normal draw of each cell, (rows, columns), and signs of its blocks for each image."""
+    rng = np.random.default_rng(_SEED)
+    draw = rng.normal(size=shape)
+    return draw, tuple(_signs_of_blocks(shape, rng) for _ in range(_DRAWS_OF_IMAGES))
 
 
 #: Quantities of the SNRs along the last axis.

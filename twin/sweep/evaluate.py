@@ -16,7 +16,7 @@ from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
 from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
-from twin.sweep.metrics import Outcome, metric
+from twin.sweep.metrics import Outcome, metric, read_only
 from twin.sweep.names import ERRORS, columns_of
 from twin.sweep.setup import Setup, setup
 from twin.sweep.shared_light import light_of, renders
@@ -165,7 +165,8 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
     made = setup(study, study.point(index), inputs)
 
     def captured() -> Capture:
-        return _CAPTURES.get((inputs.stamp, study.digest, *_captured_by(made)), measured)
+        key = inputs.stamp, study.digest, *_captured_by(made)
+        return _CAPTURES.get(key, lambda: read_only(measured()))
 
     def measured() -> Capture:
         rng = np.random.default_rng(np.random.SeedSequence(made.seed).spawn(2)[1])
@@ -186,7 +187,7 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
             taken = radar_capture(
                 made.scene, radar, seed=made.seed, fidelity=made.fidelity, weather=weather
             )
-            return evaluate_radar(radar, taken, how)
+            return read_only(evaluate_radar(radar, taken, how))
 
         return _RADAR.get(key, work)
 

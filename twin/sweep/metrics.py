@@ -30,7 +30,9 @@ T = TypeVar("T")
 
 
 class Outcome:
-    """One point's results, each computed when a metric first asks for it; arrays are read-only."""
+    """One point's results, each computed when a metric first asks for it; arrays are read-only, as
+    `read_only` makes those of a capture that points share.
+    """
 
     def __init__(
         self,
@@ -44,12 +46,12 @@ class Outcome:
     @cached_property
     def capture(self) -> Capture:
         """The camera's record, with what the twin knows about it."""
-        return _read_only(self._capture())
+        return self._capture()
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
         """The image, by the point's method."""
-        return _read_only(reconstruct(self.capture.record, self.setup.method))
+        return read_only(reconstruct(self.capture.record, self.setup.method))
 
     @cached_property
     def score(self) -> Score:
@@ -59,10 +61,10 @@ class Outcome:
     @cached_property
     def radar(self) -> RadarEvaluation:
         """Detections and what they should have been."""
-        return _read_only(self._radar())
+        return self._radar()
 
 
-def _read_only(value: T) -> T:
+def read_only(value: T) -> T:
     """The same; arrays in it, and in what it holds, can no longer be written to: metrics share them
     with each other and with other points.
     """
@@ -70,10 +72,10 @@ def _read_only(value: T) -> T:
         value.flags.writeable = False
     elif is_dataclass(value):
         for field in fields(value):
-            _read_only(getattr(value, field.name))
+            read_only(getattr(value, field.name))
     elif isinstance(value, tuple | list):
         for item in value:
-            _read_only(item)
+            read_only(item)
     return value
 
 

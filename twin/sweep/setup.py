@@ -109,6 +109,11 @@ def _fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fide
     `Fidelity`; where no knob is named either, those of the default tolerance. Motion during a frame
     is followed where it is named alone: points would share no light, each being of its own times.
     """
+    key = (inputs.stamp, tuple(sorted(values.items())), radar)
+    return _fidelities.get(key, lambda: _new_fidelity(values, radar, inputs))
+
+
+def _new_fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fidelity:
     given = {name: v for name, v in values.items() if name not in ("preset", "tolerance")}
     accuracy: Accuracy | None = "standard" if given else None
     knobs: Values = {"motion_tolerance": NONE, **given}
@@ -123,7 +128,7 @@ def _fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fide
     return base.with_(knobs)
 
 
-_entries, _scenes = Held(256), Held(64)  # most points share theirs
+_entries, _scenes, _fidelities = Held(256), Held(64), Held(64)  # most points share theirs
 
 
 def _entry(root: str, name: str, values: Values, inputs: Inputs) -> Any:

@@ -60,6 +60,7 @@ class _Shared:
 
 #: Per process, by content.
 _lights, _groups, _strictest, _chains = Held(32), Held(32), Held(256), Held(256)
+_devices = Held(1024)
 
 
 def renders() -> int:
@@ -73,7 +74,7 @@ def light_of(study: Study, index: int, made: Setup, inputs: Inputs) -> RenderedL
     Points that differ only later on share one render; with direct light alone also those that
     differ in reflectance. To a tolerance the render is within what each of them permits.
     """
-    key = (inputs.stamp, *light_key(made))
+    key = (inputs.stamp, *light_key(made, inputs))
     draw = light_seed(made)
     if can_rescale(made.system, made.fidelity):
         unit = _lights.get(
@@ -98,12 +99,14 @@ def light_seed(made: Setup) -> np.random.SeedSequence:
     return np.random.SeedSequence(made.seed).spawn(2)[0]
 
 
-def light_key(made: Setup) -> tuple[Any, ...]:
+def light_key(made: Setup, inputs: Inputs) -> tuple[Any, ...]:
     """Tells renders of one study apart."""
-    emitter, detector, _ = devices(made.scene, made.system)
     return (
         made.scene_key(reflectances=not can_rescale(made.system, made.fidelity)),
-        *(_device_key(device) for device in (emitter, detector)),
+        _devices.get(
+            (inputs.stamp, made.scene_values, made.system),
+            lambda: tuple(_device_key(d) for d in devices(made.scene, made.system)[:2]),
+        ),
         made.system.image_shape,
         made.system.n_detectors,
         made.system.weather,
@@ -137,7 +140,7 @@ def _sensors(
             made = setup(study, study.point(int(index)), inputs)
             sensor = made.system, made.scene.sun
             chain = _chains.get((inputs.stamp, sensor), partial(Chain.of, *sensor))
-            found.setdefault(light_key(made), {})[sensor] = chain
+            found.setdefault(light_key(made, inputs), {})[sensor] = chain
         except ChangedError:
             raise
         except Exception:

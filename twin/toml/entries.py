@@ -1,6 +1,7 @@
 """Catalogue entries: sections of sourced values under a name, and how they are changed."""
 
 from collections.abc import Container, Mapping
+from functools import cached_property
 from typing import Any, Self, get_args
 
 from pydantic import BaseModel
@@ -33,11 +34,15 @@ class Entry(Strict):
 
     def assumed(self) -> list[tuple[str, str]]:
         """Names of the values that are assumed, with what they are and why, in words."""
-        return [
+        return list(self._assumed)
+
+    @cached_property
+    def _assumed(self) -> tuple[tuple[str, str], ...]:
+        return tuple(
             (name, f"{name} = {setting_text(name, value.value)}: {value.assumed}")
             for name, value in self.values()
             if value.assumed
-        ]
+        )
 
     def with_(self, changes: Mapping[str, Any]) -> Self:
         """The same with some of its values changed, validated at once.

@@ -1,6 +1,7 @@
 """Sections of numbers with units, and values with their source."""
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from types import NoneType
 from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
@@ -56,6 +57,14 @@ class Strict(BaseModel):
     limits: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    def __hash__(self) -> int:
+        return self._content_hash
+
+    @cached_property
+    def _content_hash(self) -> int:
+        """Computed once: results are kept by what they are made of, and asked for often."""
+        return hash((type(self), *(getattr(self, name) for name in type(self).model_fields)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by content: classes like ``Sourced[float]`` cannot be found by their name."""
@@ -119,7 +128,10 @@ class Strict(BaseModel):
         """A copy for closed formulas alone, whose fields may hold what no file may: arrays, an
         exposure that is longer than its period.
         """
-        return super().model_copy(update=update)
+        copy = super().model_copy(update=update)
+        for name in vars(copy).keys() - type(self).model_fields.keys():
+            del vars(copy)[name]  # what was computed of the fields as they were
+        return copy
 
     def _validated(self, content: Mapping[str, Any]) -> Self:
         try:
