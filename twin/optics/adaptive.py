@@ -3,6 +3,10 @@
 A first look draws a few independent sets of paths in every cell; their scatter is the error of
 their mean. Where it matters, the sets are continued, until the error of all cells together is as
 small as asked.
+
+Half of the sets are continued by what the other half has found. By their own, those that miss what
+is bright and rare would agree, and be left as they are: the whole light was too little by 0.1 to
+0.4 %.
 """
 
 import math
@@ -26,7 +30,8 @@ Array = NDArray[np.float64]
 
 #: Of the permitted error, what an effect that is left out may change at most.
 LEFT_OUT = 0.1
-#: Independent sets of paths in a cell: their scatter has this number less one degrees of freedom.
+#: Independent sets of paths in a cell, in two halves: their scatter has this number less one
+#: degrees of freedom.
 _SETS = 4
 #: Power of the number of paths with which the variance of direct light falls.
 _FALLS = 1.7
@@ -79,9 +84,13 @@ class _Part:
     window: int
     mean: Array = field(init=False)
     variance: Array = field(init=False)
-    #: Paths of a set, by cell; and the sum of the light of each set, (n_cells, sets).
+    #: Paths of a set of each half, and the mean of each half, (n_cells, 2); the sum of the light of
+    #: each set, (n_cells, sets).
     samples: NDArray[np.int64] = field(init=False)
+    halves: Array = field(init=False)
     sums: Array = field(init=False)
+    #: Variance of a half of sets of one path, as each half itself finds it, (n_cells, 2).
+    of_path: Array = field(init=False)
     #: Light of the brightest path of all; and the time that all of them took.
     brightest: float = field(init=False, default=0.0)
     cost_s: float = field(init=False, default=0.0)
@@ -89,34 +98,53 @@ class _Part:
     def __post_init__(self) -> None:
         n = self.tracer.start.size
         self.mean, self.variance, self.sums = np.zeros(n), np.zeros(n), np.zeros((n, _SETS))
-        self.samples = np.zeros(n, np.int64)
-        self.draw(np.arange(n), np.full(n, self.first), 0)
+        self.halves, self.of_path = np.zeros((2, n, 2))
+        self.samples = np.zeros((n, 2), np.int64)
+        self.draw(np.arange(n), np.full((n, 2), self.first), 0)
 
     @property
     def paths(self) -> NDArray[np.int64]:
         """Of each cell, in all its sets."""
-        return _SETS * self.samples
+        return np.asarray(self.samples.sum(axis=1) * (_SETS // 2))
 
     def draw(self, cells: NDArray[np.integer], samples: NDArray[np.integer], turn: int) -> None:
-        """Continue the sets of these cells until there are ``samples`` paths in each."""
-        start, before = time.perf_counter(), self.samples[cells]
-        further = samples - before
-        portion = np.cumsum(further * _SETS) // RAYS_AT_ONCE
+        """Continue the sets of these cells until there are ``samples`` paths in each of a half."""
+        start, before = time.perf_counter(), np.repeat(self.samples[cells], _SETS // 2, axis=1)
+        further = np.repeat(samples, _SETS // 2, axis=1) - before
+        portion = np.cumsum(further.sum(axis=1)) // RAYS_AT_ONCE
         for number in np.unique(portion):
             some = np.flatnonzero(portion == number)
             key = (_DRAWS + turn, int(number))
             rays = CellRays(cells[some], before[some], further[some], _SETS, self.shift, key)
             value = np.array(mitsuba().Float64(self.trace(rays)))
             self.brightest = max(self.brightest, float(value.max()))
-            self.sums[cells[some]] += np.add.reduceat(value, rays.set_starts).reshape(-1, _SETS)
+            drawn, sums = further[some].ravel() > 0, np.zeros(some.size * _SETS)
+            sums[drawn] = np.add.reduceat(value, rays.set_starts[drawn])
+            self.sums[cells[some]] += sums.reshape(-1, _SETS)
         self.samples[cells] = samples
-        sets = self.sums[cells] / samples[:, None]
-        self.mean[cells], scatter = sets.mean(axis=1), sets.var(axis=1, ddof=1) / _SETS
+        sets = (self.sums[cells] / np.repeat(samples, _SETS // 2, axis=1)).reshape(
+            -1, 2, _SETS // 2
+        )
+        halves = sets.mean(axis=2)
+        self.halves[cells], self.mean[cells] = halves, halves.mean(axis=1)
         # Of one path, so that cells of different numbers of paths compare.
-        per_path = samples.astype(float) ** self.falls
-        around = self._around(cells, scatter * per_path) / per_path
-        self.variance[cells] = (scatter + around) / 2
+        part = samples.astype(float) ** -self.falls
+        within = sets.var(axis=2, ddof=1) / (_SETS // 2) / part
+        between = np.diff(halves, axis=1)[:, 0] ** 2 / part.sum(axis=1)
+        for half in (0, 1):
+            own = within[:, half]
+            self.of_path[cells, half] = (own + self._around(cells, own)) / 2
+        own = (within.sum(axis=1) * (_SETS // 2 - 1) + between) / (_SETS - 1)
+        of_path = (own + self._around(cells, own)) / 2
+        self.variance[cells] = of_path * part.sum(axis=1) / 4
         self.cost_s += time.perf_counter() - start
+
+    @property
+    def by_other_half(self) -> Array:
+        """Variance that each half adds to the mean of its cell, as the other half tells it,
+        (n_cells, 2).
+        """
+        return np.asarray(self.of_path[:, ::-1] * self.samples.astype(float) ** -self.falls / 4)
 
     def _around(self, cells: NDArray[np.integer], values: Array) -> Array:
         """Mean of the values of the cells around that are among these."""
@@ -195,15 +223,18 @@ def gather_within(
         each = min(_IN_THE_DARK, in_the_dark) / _SETS / tracer.start.size
         samples = 2 ** math.ceil(math.log2(max(each, 1)))
         for part in parts:
-            _draw_more(part, np.full(tracer.start.size, samples), 0)
+            _draw_more(part, np.full((tracer.start.size, 2), samples), 0)
     for turn in range(1, _ROUNDS + 1):
         light = np.sum([part.mean for part in parts], axis=0)
         limit = permitted(light.reshape(shape)).ravel()
         weight = 1 / np.maximum(limit, 1e-150) ** 2 / limit.size
         variances = _variances(parts, facets, shape, taken)
-        if turn == _ROUNDS or sum(float(variance @ weight) for variance in variances) <= 1:
+        left = sum(float(variance @ weight) for variance in variances)
+        if turn == _ROUNDS or left <= 1:
             break
-        wanted = _wanted(parts, [variance * weight for variance in variances], up=turn > 1)
+        told = [part * weight[:, None] for part in _by_other_halves(parts, facets, shape, taken)]
+        scale = left / max(sum(float(part.sum()) for part in told), 1e-300)
+        wanted = _wanted(parts, [scale * part for part in told], up=turn > 1)
         drawn = [_draw_more(*pair, turn) for pair in zip(parts, wanted, strict=True)]
         if not any(drawn):
             break
@@ -243,22 +274,51 @@ def _variances(
     """
     direct, indirect = parts[0], parts[-1]
     variances = [_CHOSEN * part.variance for part in parts]
-    missed = np.maximum(facets, contrast(direct.mean.reshape(shape)))
-    # Up to one path's share, any of which is as likely as any other.
-    variances[0] += (missed / direct.paths) ** 2 / 3
-    if not taken:
-        return variances
-    # As bright as any path so far, and too rare for those of a window. Elsewhere paths would have
-    # met it, so that it is in one window of the image, up to three times (95 %) one path's share.
+    variances[0] += _missed(facets, direct.mean, direct.paths, shape)
+    if taken:
+        variances[-1] += _too_rare(direct, indirect, indirect.paths)
+    return variances
+
+
+def _by_other_halves(
+    parts: Sequence[_Part], facets: Array, shape: tuple[int, int], taken: bool
+) -> list[Array]:
+    """The same of each half as the other tells it, (n_cells, 2); both as many paths as each has."""
+    direct, indirect = parts[0], parts[-1]
+    variances = [_CHOSEN * part.by_other_half for part in parts]
+    for half in (0, 1):
+        other = direct.halves[:, 1 - half]
+        variances[0][:, half] += _missed(facets, other, _SETS * direct.samples[:, half], shape) / 2
+        if taken:
+            paths = _SETS * indirect.samples[:, half]
+            variances[-1][:, half] += _too_rare(direct, indirect, paths) / 2
+    return variances
+
+
+def _missed(
+    facets: Array, light: Array, paths: NDArray[np.integer], shape: tuple[int, int]
+) -> Array:
+    """Variance of direct light that all paths of a cell may have missed: up to one path's share,
+    any of which is as likely as any other.
+    """
+    missed = np.maximum(facets, contrast(light.reshape(shape)))
+    return np.asarray((missed / paths) ** 2 / 3)
+
+
+def _too_rare(direct: _Part, indirect: _Part, paths: NDArray[np.integer]) -> Array:
+    """Variance of indirect light as bright as any path so far, and too rare for those of a window.
+
+    Elsewhere paths would have met it, so that it is in one window of the image, up to three times
+    (95 %) one path's share.
+    """
     brightest, window = max(float(direct.mean.max()), indirect.brightest), indirect.window**2
     windows = min(1.0, _UNSEEN**2 * window / direct.mean.size)
-    variances[-1] += windows * (brightest / (indirect.paths * window)) ** 2
-    return variances
+    return np.asarray(windows * (brightest / (paths * window)) ** 2)
 
 
 def _draw_more(part: _Part, samples: NDArray[np.int64], turn: int) -> bool:
     """Continue the sets of paths that are shorter; whether there are such cells."""
-    more = np.flatnonzero(samples > part.samples)
+    more = np.flatnonzero((samples > part.samples).any(axis=1))
     if len(more):
         part.draw(more, samples[more], turn)
     return bool(len(more))
@@ -267,8 +327,8 @@ def _draw_more(part: _Part, samples: NDArray[np.int64], turn: int) -> bool:
 def _wanted(
     parts: Sequence[_Part], variances: Sequence[Array], *, up: bool
 ) -> list[NDArray[np.int64]]:
-    """Paths of a set of each cell that bring the sum of the variances to `_MARGIN` at the least
-    cost; ``up``: rounded up, since the nearest numbers were too few.
+    """Paths of a set of each half of each cell, (n_cells, 2), that bring the sum of the variances
+    to `_MARGIN` at the least cost; ``up``: rounded up, since the nearest numbers were too few.
 
     By a Lagrange multiplier: the variance a n^-p of n paths at cost c n is worth them up to
     n = (a p / (c multiplier))^(1 / (p + 1)).

@@ -79,9 +79,11 @@ class CellRays:
 
     Parameters
     ----------
-    cell, first, samples
-        Indices of the cells, row by row; number in the sequence of each cell's first ray; and rays
-        of a set; (n,) each.
+    cell
+        Indices of the cells, row by row, (n,).
+    first, samples
+        Number in the sequence of each cell's first ray, and rays of a set: (n,), or of each set
+        (n, sets).
     sets
         Of each cell.
     shift
@@ -104,12 +106,12 @@ class CellRays:
     @cached_property
     def set_starts(self) -> NDArray[np.int64]:
         """First ray of every set, (n x sets,)."""
-        ends = np.cumsum(np.repeat(self.samples, self.sets))
+        ends = np.cumsum(self._of_sets(self.samples))
         return np.concatenate([[0], ends[:-1]])
 
     def count(self, columns: int) -> int:
         """Number of rays."""
-        return int(self.samples.sum()) * self.sets
+        return int(self._of_sets(self.samples).sum())
 
     def cells(self, columns: int) -> Any:
         """Cell of each ray of a grid of so many columns."""
@@ -141,11 +143,17 @@ class CellRays:
     @cached_property
     def _owner_and_number(self) -> tuple[Any, Any]:
         """Set to which each ray belongs, among all sets, and its number in the set's sequence."""
-        mi, each = mitsuba(), np.repeat(self.samples, self.sets)
+        mi, each = mitsuba(), self._of_sets(self.samples)
         owner = mi.UInt32(aligned(np.repeat(np.arange(len(each), dtype=np.uint32), each)))
-        back = np.repeat(self.first, self.sets) - self.set_starts
+        back = self._of_sets(self.first) - self.set_starts
         back = dr.gather(mi.UInt32, mi.UInt32(back.astype(np.uint32)), owner)
         return owner, dr.arange(mi.UInt32, dr.width(owner)) + back
+
+    def _of_sets(self, values: NDArray[np.integer]) -> NDArray[np.integer]:
+        """Of every set, (n x sets,)."""
+        return np.broadcast_to(
+            values.reshape(len(self.cell), -1), (len(self.cell), self.sets)
+        ).ravel()
 
     def _own_set(self, owner: Any) -> tuple[Any, Any]:
         """Cell of a set, and its number among those of all cells of the grid."""
