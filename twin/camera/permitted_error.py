@@ -61,7 +61,19 @@ class PermittedError:
         return permitted
 
     def noise(self, cells: Array) -> Array:
-        """Noise of each pixel, in the unit of the light of the cells."""
+        """Noise of each pixel, in the unit of the light of the cells; asked again of the same array
+        it is not computed anew.
+        """
+        if not (self._last and self._last[0] is cells):
+            self._last[:] = cells, self._noise(cells)
+        return self._last[1]
+
+    @cached_property
+    def _last(self) -> list[Array]:
+        """Cells, and their noise."""
+        return []
+
+    def _noise(self, cells: Array) -> Array:
         power, chain = self._unit, self.chain
         # Behind a shutter that weights paths by their length light is that of the paths.
         is_plain = [shutter.response is None for shutter in chain.shutters]
