@@ -1,10 +1,14 @@
-"""Exact integrals of a wave over flat triangles across which phase and logarithm are linear.
+"""Integrals of a wave over flat triangles, exact where phase and logarithm are linear across them.
 
 With barycentric coordinates the integral of exp(x) over a triangle of area A is 2 A times the
 second divided difference of exp at the values of x at its corners (Hermite and Genocchi; Gordon,
 IEEE Trans. AP 23, 1975, gives the same as a sum over edges). Here x is the logarithm of the
-amplitude plus j times the phase. The curvature of x across the triangle is neglected; its effect
-shrinks with the triangle and is extrapolated from two sizes of triangles (`currents.echoes_of`).
+amplitude plus j times the phase.
+
+Where x is curved, by q in the middle of an edge beyond the mean of its ends, x is the linear one
+plus the sum of 4 q u v over the edges, with u and v the coordinates of their ends. Of that sum the
+first power is integrated: the mean of u v exp(x) is the second derivative of the mean of exp(x) by
+the values at both corners, a divided difference that has either of them twice.
 
 The echo of a body is put together in `twin.radar.propagation.facets`: of one triangle in `currents`
 (with the gain and the distances), of all of a body's in `body_scattering`, over the band in
@@ -22,6 +26,9 @@ import drjit as dr
 from twin.radar.scattering.arrays import Complex, Real
 
 _CLOSE = 0.2  # of x, below which a series is exact to 1e-8 and a quotient may not be
+
+_EXP = (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)  # its series
+_EDGES = (0, 1, 3), (1, 2, 4), (2, 0, 5)  # corners, and the node in the middle
 
 
 @dataclass(frozen=True)
@@ -72,7 +79,7 @@ def mean_over(corners: Sequence[Node]) -> Complex:
     )
     # exp(middle) from that of b, which is within the gap of it.
     away = -y[0], -y[1]
-    turn = _series(away, (1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0))
+    turn = _series(away, _EXP)
     series = _times(_times(b.value, turn), (1 + mean[0], mean[1]))
     safe = dr.select(near, 1.0, square)
     more = 2 * (high[0] - low[0]), 2 * (high[1] - low[1])
@@ -82,13 +89,104 @@ def mean_over(corners: Sequence[Node]) -> Complex:
     )
 
 
+def change_by_curvature(nodes: Sequence[Node]) -> Complex:
+    """What curvature adds to `mean_over`, to its first power, by nodes at the corners (0 to 2) and
+    in the middles of the edges (3 to 5).
+    """
+    off = [_beyond(nodes[i], nodes[j], nodes[m]) for i, j, m in _EDGES]
+    a, b, c = _apart(*nodes[:3])
+    ab, bc, ca = _in_that_order(nodes, off)
+    gap = c.log - a.log, c.phase - a.phase
+    near = dr.square(gap[0]) + dr.square(gap[1]) < _CLOSE**2
+    low, high = _Differences.of(a, b), _Differences.of(b, c)
+    inverse = _inverse(gap, near)
+
+    def over_gap(more: Complex, less: Complex) -> Complex:
+        return _times((more[0] - less[0], more[1] - less[1]), inverse)
+
+    abc = over_gap(high.once, low.once)
+    aabc, abbc = over_gap(abc, low.first), over_gap(high.first, low.last)
+    abcc = over_gap(high.last, abc)
+    exact = over_gap(abbc, low.both), over_gap(high.both, abbc), over_gap(abcc, aabc)
+    middle = (a.log + b.log + c.log) / 3, (a.phase + b.phase + c.phase) / 3
+    turn = _series((middle[0] - b.log, middle[1] - b.phase), _EXP)
+    value = _times(b.value, turn)
+    total: Complex = (0 * gap[0], 0 * gap[1])
+    for moment, opposite, beyond in zip(exact, (c, a, b), (ab, bc, ca), strict=True):
+        # Of u v the mean is 1 / 12, that of u v times the value at the third corner less the mean
+        # of all three -1 / 60 of that difference.
+        series = 1 / 12 - (opposite.log - middle[0]) / 60, (middle[1] - opposite.phase) / 60
+        few = _times(value, series)
+        mean = tuple(dr.select(near, x, 2 * y) for x, y in zip(few, moment, strict=True))
+        part = _times(beyond, (mean[0], mean[1]))
+        total = total[0] + 4 * part[0], total[1] + 4 * part[1]
+    return total
+
+
+@dataclass(frozen=True)
+class _Differences:
+    """Divided differences of exp between two corners p and q, of these ``once``; with the ``first``
+    or the ``last`` twice; with ``both`` twice.
+    """
+
+    once: Complex
+    first: Complex
+    last: Complex
+    both: Complex
+
+    @staticmethod
+    def of(p: Node, q: Node) -> "_Differences":
+        """By the values at both."""
+        gap = q.log - p.log, q.phase - p.phase
+        near = dr.square(gap[0]) + dr.square(gap[1]) < _CLOSE**2
+        inverse = _inverse(gap, near)
+
+        def chosen(series: Sequence[float], more: Complex, less: Complex) -> Complex:
+            close = _times(p.value, _series(gap, series))
+            away = _times((more[0] - less[0], more[1] - less[1]), inverse)
+            return dr.select(near, close[0], away[0]), dr.select(near, close[1], away[1])
+
+        once = chosen((1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0), q.value, p.value)
+        first = chosen((1 / 720, 1 / 120, 1 / 24, 1 / 6, 1 / 2), once, p.value)
+        last = chosen((1 / 144, 1 / 30, 1 / 8, 1 / 3, 1 / 2), q.value, once)
+        both = chosen((1 / 1008, 1 / 180, 1 / 40, 1 / 12, 1 / 6), last, first)
+        return _Differences(once, first, last, both)
+
+
+def _inverse(gap: Complex, near: Any) -> Complex:
+    """One over a gap, where it is not near 0."""
+    square = dr.select(near, 1.0, dr.square(gap[0]) + dr.square(gap[1]))
+    return gap[0] / square, -gap[1] / square
+
+
+def _beyond(p: Node, q: Node, middle: Node) -> Complex:
+    """The wave's logarithm in the middle of an edge less the mean of its ends."""
+    return middle.log - (p.log + q.log) / 2, middle.phase - (p.phase + q.phase) / 2
+
+
+def relative_curvature(nodes: Sequence[Node]) -> Real:
+    """Curvature of a wave over its linear change along an edge, a quarter of it, or by itself where
+    that is less: the square of it is what `change_by_curvature` leaves out, over what the triangle
+    may return.
+    """
+    alone, over_change = 0.0 * nodes[0].phase, 0.0 * nodes[0].phase
+    for i, j, m in _EDGES:
+        log, phase = _beyond(nodes[i], nodes[j], nodes[m])
+        off = dr.sqrt(dr.square(log) + dr.square(phase))
+        change = dr.abs(nodes[j].phase - nodes[i].phase)
+        alone = dr.maximum(alone, off)
+        over_change = dr.maximum(over_change, 4 * off / dr.maximum(change, 1e-9))
+    least: Real = dr.minimum(alone, over_change)
+    return least
+
+
 def curvature(values: list[Any]) -> Any:
     """Largest difference, over a triangle's edges, between the value in the middle of the edge and
     the mean of its ends; of values at the corners (0 to 2) and in the middles of the edges (3 to
     5).
     """
     largest = 0
-    for first, second, middle in ((0, 1, 3), (1, 2, 4), (2, 0, 5)):
+    for first, second, middle in _EDGES:
         off = values[middle] - (values[first] + values[second]) / 2
         largest = dr.maximum(largest, dr.abs(off))
     return largest
@@ -111,15 +209,37 @@ def span(phases: Sequence[Any]) -> Any:
 
 def _apart(a: Node, b: Node, c: Node) -> tuple[Node, Node, Node]:
     """The three nodes in an order in which the first and the last differ most."""
-    ab, bc, ca = (
-        dr.square(q.phase - p.phase) + dr.square(q.log - p.log) for p, q in ((a, b), (b, c), (c, a))
-    )
-    first, second = (ab >= bc) & (ab >= ca), bc >= ca
+    first, second = _widest(a, b, c)
     return (
         _chosen(first | ~second, a, b),
         _chosen(first, c, _chosen(second, a, b)),
         _chosen(first, b, c),
     )
+
+
+def _in_that_order(corners: Sequence[Node], edges: Sequence[Complex]) -> list[Complex]:
+    """Values of the edges between the first and the second node of that order, the second and the
+    last, the last and the first.
+    """
+    first, second = _widest(*corners[:3])
+
+    def chosen(one: Complex, other: Complex, last: Complex) -> Complex:
+        re, im = (
+            dr.select(first, x, dr.select(second, y, z))
+            for x, y, z in zip(one, other, last, strict=True)
+        )
+        return re, im
+
+    ab, bc, ca = edges
+    return [chosen(ca, ab, ab), chosen(bc, ca, bc), chosen(ab, bc, ca)]
+
+
+def _widest(a: Node, b: Node, c: Node) -> tuple[Any, Any]:
+    """Whether the first and the second node differ most, and if not, whether the others do."""
+    ab, bc, ca = (
+        dr.square(q.phase - p.phase) + dr.square(q.log - p.log) for p, q in ((a, b), (b, c), (c, a))
+    )
+    return (ab >= bc) & (ab >= ca), bc >= ca
 
 
 def _chosen(which: Any, one: Node, other: Node) -> Node:

@@ -27,20 +27,29 @@ from twin.radar.propagation.one_way.path import (
 from twin.radar.propagation.scene.slabs import SlabTransmission
 from twin.radar.scattering.arrays import Complex, ComplexVector3, Index, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
-from twin.radar.scattering.triangle import curvature, mean_bound, mean_over, node, span
+from twin.radar.scattering.triangle import (
+    Node,
+    change_by_curvature,
+    curvature,
+    mean_bound,
+    mean_over,
+    node,
+    relative_curvature,
+    span,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MOST_CURVATURE = 0.5  # of phase and logarithm, up to which two sizes of triangles extrapolate
-_OBLIQUE = 8.0  # rad across a triangle, from which its echo is a sum of those of its corners
+_MOST_CURVATURE = 0.5  # relative, up to which its first power is what it changes
+#: Of its square: what higher powers change of the echo that a triangle may return. Of random
+#: triangles 0.1 to 0.2 in the median, 0.5 for one in twenty.
+_OF_SQUARE = 0.5
+_OVER_BAND = 0.001  # likewise what `wideband` is off by over the band, of phases across it of 1 rad
 _TURNED = 0.7  # of the phase that motion adds across a triangle by the end of a burst
 _NARROW = 0.15  # size over distance, up to which the gain is bounded by that at the corners
 _NEAREST = 0.05  # of the distance of the centroid
 _MOST_AGAIN = 0.9  # ratio of successive round trips within a wall, at most
-#: Corners of the four equal parts of a triangle, by its corners 0 to 2 and the middles 3 to 5 of
-#: its edges.
-_QUARTERS = ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,22 +217,19 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2):
         more, less, path = level_at(scatterers, wave, point, receiver, axes)
         nodes.append(node(k * (length - path), more + less - spread))
-    linear = mean_over(nodes[:3])
-    parts = [mean_over([nodes[i] for i in q]) for q in _QUARTERS]
-    finer = [sum(part[i] for part in parts) / 4 for i in (0, 1)]
+    linear, change = mean_over(nodes[:3]), change_by_curvature(nodes)
     corners = [value.phase for value in nodes[:3]]
-    # Halved edges leave a quarter of the error; at oblique incidence, where the echo comes from the
-    # corners, half.
-    gain_of_halves = dr.select(span(corners) < _OBLIQUE, 3.0, 1.0)
-    change = [(fine - coarse) / gain_of_halves for fine, coarse in zip(finer, linear, strict=True)]
-    level = dr.sqrt(dr.square(re) + dr.square(im))
     phase_curvature = curvature([value.phase for value in nodes])
+    level = dr.sqrt(dr.square(re) + dr.square(im))
     most = level * _most(scatterers, lit, wave, receiver, axes, [value.log for value in nodes])
     strength = most * mean_bound(corners, phase_curvature)
-    curved = level * dr.sqrt(dr.square(change[0]) + dr.square(change[1]))
-    largest = dr.maximum(phase_curvature, curvature([value.log for value in nodes]))
-    # Where the curvature is large, extrapolation from two sizes of triangles says nothing.
-    curved = dr.select(largest < _MOST_CURVATURE, curved, strength)
+    relative = relative_curvature(nodes)
+    curved = _OF_SQUARE * dr.square(relative) + _beyond_square(nodes, gain)
+    curved += _OVER_BAND * dr.minimum(dr.square(span(corners)), 1)
+    curved *= strength
+    # Where the curvature is large, its first power says nothing.
+    is_flat = relative < _MOST_CURVATURE
+    curved = dr.select(is_flat, dr.minimum(curved, strength), strength)
     if scatterers.half_time_s:
         change_rad = (
             scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
@@ -232,11 +238,24 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     if context.walls is not None:  # internal reflections of walls repeat the echo
         again = 1 + _again(wave.transmission) + _again(return_path.transmission)
         strength, curved = strength * again, curved * again
-    mean = [fine + more for fine, more in zip(finer, change, strict=True)]
+    mean = [
+        straight + dr.select(is_flat, more, 0)
+        for straight, more in zip(linear, change, strict=True)
+    ]
     values = (re, im, *mean, length, dr.exp(gain), strength, curved)
     dr.eval(values)
     columns = [np.broadcast_to(np.array(value), len(lit)) for value in values]
     return Echoes(columns[0] + 1j * columns[1], columns[2] + 1j * columns[3], *columns[4:])
+
+
+def _beyond_square(nodes: Sequence[Node], log: Real) -> Real:
+    """How far a wave at the centroid, of this logarithm and of phase 0, is from what a square
+    through the nodes gives there.
+    """
+    phase = (4 * sum(n.phase for n in nodes[3:]) - sum(n.phase for n in nodes[:3])) / 9
+    off = log - (4 * sum(n.log for n in nodes[3:]) - sum(n.log for n in nodes[:3])) / 9
+    distance: Real = dr.sqrt(dr.square(off) + dr.square(phase))
+    return distance
 
 
 def _again(transmission: SlabTransmission) -> Real:
@@ -295,7 +314,8 @@ def _most(
         ratio = size / length
         cone = dr.select(ratio < 1, dr.safe_asin(ratio), dr.pi)
         most *= scatterers.antenna.most(along(segment / length, shown), cone)
-        most *= (1 / dr.maximum(1 - ratio, _NEAREST)) ** 1.5
+        nearer = 1 / dr.maximum(1 - ratio, _NEAREST)
+        most *= nearer * dr.sqrt(nearer)
         widest = dr.maximum(widest, ratio)
     pairs: list[Real] = [dr.maximum(logs[i], logs[i + 1]) for i in (0, 2, 4)]
     highest: Real = dr.maximum(pairs[0], pairs[1])
