@@ -21,6 +21,7 @@ _ROOMS = (
     "radar",
     "radar_scene",
     "radar_estimates",
+    "round_obstacles",
     "large_scenes",
     "radar_signal",
     "radar_tables",

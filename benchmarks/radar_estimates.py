@@ -4,7 +4,7 @@ Random scenes of conductors, each family of its own kind of trouble; the truth i
 `benchmarks.mirrored_currents`.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,11 +94,15 @@ def compared(
 
 def scene_of(case: Case) -> Scene:
     """Seen by a radar at the origin that looks along x."""
+    return scene_of_objects(case.objects if case.ground is None else (*case.objects, case.ground))
+
+
+def scene_of_objects(objects: Sequence[SceneObject]) -> Scene:
+    """Seen likewise."""
     rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
-    objects = case.objects if case.ground is None else (*case.objects, case.ground)
     materials = load_materials(Path(__file__).parents[1] / "scenes" / "materials.toml")
     return Scene(
-        "random", Path("."), "", objects, rig, Sun(180.0, 30.0, 0.0), (), materials=materials
+        "random", Path("."), "", tuple(objects), rig, Sun(180.0, 30.0, 0.0), (), materials=materials
     )
 
 
@@ -119,13 +123,13 @@ def _around(rng: np.random.Generator, distances_m: tuple[float, ...], aside: flo
     return distance * np.array([1.0, *rng.uniform(-aside, aside, 2)])
 
 
-def _thing(name: str, vertices: Array, faces: object) -> SceneObject:
+def thing(name: str, vertices: Array, faces: object) -> SceneObject:
     geometry = Geometry(vertices, np.array(faces, dtype=np.int32))
     return SceneObject(name, geometry, "metal", 0.5, radar="optics")
 
 
 def _quad(name: str, corners: Array) -> SceneObject:
-    return _thing(name, corners, [[0, 1, 2], [0, 2, 3]])
+    return thing(name, corners, [[0, 1, 2], [0, 2, 3]])
 
 
 def _square(sides_m: Array) -> Array:
@@ -163,7 +167,7 @@ def _corner(rng: np.random.Generator) -> Case:
     tips = (tips - [np.sqrt(1 / 3), 0, 0]) * rng.uniform(0.015, 0.045, 3)[:, None]
     vertices = np.vstack([np.zeros(3), tips]) @ _turned(rng, 25).T
     vertices = vertices + _around(rng, (1.0, 4.0, 20.0), 0.15)
-    return Case((_thing("corner", vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 1]]),), bounces=3)
+    return Case((thing("corner", vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 1]]),), bounces=3)
 
 
 def _box(rng: np.random.Generator) -> Case:
@@ -173,7 +177,7 @@ def _box(rng: np.random.Generator) -> Case:
     beside = [rng.uniform(0.0, 0.03), rng.choice([-1, 1]) * rng.uniform(0.03, 0.05)]
     beside.append(rng.uniform(-0.02, 0.02))
     plate = _square(np.full(2, rng.uniform(0.03, 0.06))) @ _turned(rng, 60).T + center + beside
-    box = _thing("box", mesh.vertices @ turn.T + center, mesh.faces)
+    box = thing("box", mesh.vertices @ turn.T + center, mesh.faces)
     return Case((box, _quad("plate", plate)), bounces=2)
 
 
@@ -183,7 +187,7 @@ def _ball(rng: np.random.Generator) -> Case:
     center = _around(rng, (1.0, 4.0, 20.0), 0.1)
     before = center * rng.uniform(0.6, 0.9) + rng.uniform(-0.02, 0.02, 3)
     plate = _square(rng.uniform(0.01, 0.03, 2)) @ _turned(rng, 40).T + before
-    return Case((_thing("ball", mesh.vertices + center, mesh.faces), _quad("plate", plate)))
+    return Case((thing("ball", mesh.vertices + center, mesh.faces), _quad("plate", plate)))
 
 
 def _near(rng: np.random.Generator) -> Case:
@@ -219,7 +223,7 @@ def _needles(rng: np.random.Generator) -> Case:
         tip = [0, rng.uniform(-0.5, 1.5) * length, length * 10 ** rng.uniform(-3, 0)]
         corners = np.array([[0, 0, 0], [0, length, 0], tip]) @ _turned(rng, 80).T
         found.append(
-            _thing(f"needle {i}", corners + center + rng.uniform(-0.02, 0.02, 3), [[0, 1, 2]])
+            thing(f"needle {i}", corners + center + rng.uniform(-0.02, 0.02, 3), [[0, 1, 2]])
         )
     return Case(tuple(found))
 
