@@ -43,8 +43,9 @@ _AT_ONCE = 32
 _FINEST = 1 / 8
 #: Instants at most at which all light is rendered.
 _MOST_RENDERS = 32
-#: First instants that one is enough of for indirect light, which has no edges.
-_SMOOTH = 4
+#: Of indirect light, which has no edges and whose paths cost more: first instants that one is
+#: enough of, and weights of its squared errors over those of direct light.
+_INDIRECT = (4, 3.0, 3.0)
 #: Of a count, what its noise is at least: a full well of 1e8 electrons.
 _EXACT = 1e-4
 #: Error of paths over what is permitted above which a warning is given; it is an estimate.
@@ -118,13 +119,18 @@ def frame_light(
         light = _by_render(world, chain, fidelity, seeds, change)
     signal_w, sun_w = light.exposed(chain, exposures)
     effect = f"motion within a frame, {light.n_instants} instants"
+    if light.path_error and not fidelity.has_light_tolerance:
+        # Over what is permitted to the emitter's light, half of all.
+        error = light.path_error * tolerance / math.sqrt(2)
+        effect += f"; besides, {fidelity.samples} paths of a cell err by up to {error:.2g}"
     decision = decided(effect, light.motion_error * tolerance, taken=True)
-    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, _warnings(light, tolerance))
+    warnings = _warnings(light, tolerance, fidelity)
+    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, warnings)
 
 
-def _warnings(light: "_Light", tolerance: float) -> tuple[CaptureWarning, ...]:
+def _warnings(light: "_Light", tolerance: float, fidelity: Fidelity) -> tuple[CaptureWarning, ...]:
     found = []
-    if light.path_error > _FEW_PATHS:
+    if fidelity.has_light_tolerance and light.path_error > _FEW_PATHS:
         text = (
             f"paths of light of some instants err by {light.path_error:.2g} times what is "
             "permitted: fidelity.light_tolerance"
@@ -286,9 +292,10 @@ def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
     """Direct light, and indirect light whose paths end ``by_chance`` or after some bounces."""
     parts = [Part(lambda tracer, rays: tracer.direct(rays).value, 1.7)]
     if indirect and by_chance:
-        parts.append(Part(lambda tracer, rays: tracer.all_indirect(rays), 1.0, True, _SMOOTH))
+        further = Part(lambda tracer, rays: tracer.all_indirect(rays), 1.0, True, *_INDIRECT)
+        parts.append(further)
     elif indirect:
-        parts.append(Part(lambda tracer, rays: tracer.indirect(rays), 1.0, True, _SMOOTH))
+        parts.append(Part(lambda tracer, rays: tracer.indirect(rays), 1.0, True, *_INDIRECT))
     return parts
 
 

@@ -58,12 +58,17 @@ class Part:
         make it darker.
     step
         Of how many first instants one is enough for it.
+    path_weight, motion_weight
+        Of the squared errors that finitely many paths, and interpolation in time, may leave in all
+        parts together, that of this part, over those of the others.
     """
 
     trace: Callable[[Tracer, Rays], Any]
     falls: float
     is_smooth: bool = False
     step: int = 1
+    path_weight: float = 1.0
+    motion_weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +113,11 @@ class Effort:
         """`noise_growth` of light, (n,)."""
         return np.ones(len(light)) if self.noise_growth is None else self.noise_growth(light)
 
-    def of_one(self, parts: int) -> "Effort":
-        """Of each of as many parts, whose errors are independent."""
-        scale = 1 / math.sqrt(parts)
-        limit = self.limit if isinstance(self.limit, int) else scale * self.limit
-        return replace(self, limit=limit, motion_limit=scale * self.motion_limit)
+    def of_part(self, path_share: float, motion_share: float) -> "Effort":
+        """Of one of the parts, whose errors are independent: shares of squared errors."""
+        whole = self.limit
+        limit = whole if isinstance(whole, int) else math.sqrt(path_share) * whole
+        return replace(self, limit=limit, motion_limit=math.sqrt(motion_share) * self.motion_limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +125,8 @@ class LightOverTime:
     """Light of cells at instants, ascending, (n, n_cells), linear in between.
 
     ``path_error`` and ``motion_error``: over what is permitted, root mean square over the cells, at
-    the worst instant; ``looks``: cells rendered, at how many instants each, summed; ``paths``: of
+    the worst instant; of a fixed number of paths over what interpolation is permitted. ``looks``:
+    cells rendered, at how many instants each, summed; ``paths``: of
     them all.
     """
 
@@ -154,11 +160,15 @@ def light_over_time(
     effort
         How closely.
     """
+    by_path, by_motion = (
+        np.array(weights) / sum(weights)
+        for weights in zip(*((t.path_weight, t.motion_weight) for t in traces), strict=True)
+    )
     parts = [
         _over_time(
             _Drawing(tracer_at, part, number),
             *_thinned(times_s, changes, part.step),
-            effort.of_one(len(traces)),
+            effort.of_part(float(by_path[number]), float(by_motion[number])),
         )
         for number, part in enumerate(traces)
     ]
@@ -166,8 +176,11 @@ def light_over_time(
     return LightOverTime(
         times,
         np.sum([_at(part, times) for part in parts], axis=0),
-        float(np.linalg.norm([part.path_error for part in parts])) / math.sqrt(len(parts)),
-        float(np.linalg.norm([part.motion_error for part in parts])) / math.sqrt(len(parts)),
+        math.sqrt(
+            (by_motion if isinstance(effort.limit, int) else by_path)
+            @ np.square([part.path_error for part in parts])
+        ),
+        math.sqrt(by_motion @ np.square([part.motion_error for part in parts])),
         sum(part.looks for part in parts),
         sum(part.paths for part in parts),
     )
@@ -241,11 +254,10 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
         worst = max([worst, *(1 - x.budget for x in halves)])
         opened = [x for x in _with_overlooked(halves, at, effort) if x.cells.any()]
     order = np.argsort(at)
-    path_error = 0.0
-    if not isinstance(effort.limit, int):
-        share = 1 / np.maximum(effort.limit, 1e-150) ** 2 / n_cells
-        sets, variance = (np.array(x) for x in zip(*rows, strict=True))
-        path_error = float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
+    limit = effort.motion_limit if isinstance(effort.limit, int) else effort.limit
+    share = 1 / np.maximum(limit, 1e-150) ** 2 / n_cells
+    sets, variance = (np.array(x) for x in zip(*rows, strict=True))
+    path_error = float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
     return LightOverTime(
         np.array(at)[order],
         np.array([rows[i][0].mean(axis=0) for i in order]),
