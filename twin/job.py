@@ -62,7 +62,7 @@ def run(
     fidelity: Accuracy | None = None,
     paths: bool = False,
     sigmf: bool = False,
-    figures: bool = False,
+    figures: bool = True,
     method: str | Method | Solve | None = None,
     detection: str | Detect | None = None,
     command: str | None = None,
@@ -94,7 +94,8 @@ def run(
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
     figures
-        Also draw figures as PNG files; the report draws its own charts.
+        Whether to draw PNG files too: loading Matplotlib and drawing takes longer than all the rest
+        of a report, which has charts of its own.
     method
         A reconstruction shown beside the bundled ones: a name, a function, ``file.py:function``,
         see `hardware.reconstruct`.
