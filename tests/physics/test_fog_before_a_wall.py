@@ -36,6 +36,7 @@ def beside(*baseline_m: float, outline: str = "square") -> Device:
     return Device(np.array(baseline_m), AHEAD, TAN, outline)  # type: ignore[arg-type]
 
 
+@pytest.mark.whole
 def test_wall_in_fog_agrees_with_volpath_at_single_scattering() -> None:
     """Beer-Lambert and single backscatter against Mitsuba's `volpath` cut at one scattering.
 

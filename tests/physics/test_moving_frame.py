@@ -469,7 +469,7 @@ IDENTITY = RigidTransform.identity()
         "line",
         pytest.param("time of flight", marks=pytest.mark.whole),
         pytest.param("fog", marks=pytest.mark.whole),
-        "scan",
+        pytest.param("scan", marks=pytest.mark.whole),
     ],
 )
 def test_other_systems_see_what_moves_too(

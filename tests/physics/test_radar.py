@@ -375,6 +375,7 @@ def test_impossible_sizes_and_bands_are_refused() -> None:
             changed(radar, **change)
 
 
+@pytest.mark.whole
 def test_a_radar_inside_a_mesh_is_warned_of() -> None:
     import trimesh
 

@@ -487,7 +487,7 @@ def tilted_plate(tilt_deg: float, distance: float = 5.0) -> SceneObject:
 @pytest.mark.parametrize(
     ("item", "times"),
     [
-        (tilted_plate(20.0), 6),
+        pytest.param(tilted_plate(20.0), 6, marks=pytest.mark.whole),
         (tilted_plate(5.0, 25.0), 5),  # the fewest facets that were left out: 2048
         (ball("b", (4.0, 0.1, 0.0), 0.15, 2), 3),
     ],
@@ -505,6 +505,7 @@ def test_a_finer_mesh_of_the_same_surface_has_the_same_echo(
     assert relative(over_the_band(fine, tolerance), expected) < body.estimated_error + 0.01
 
 
+@pytest.mark.whole
 def test_borders_of_shadows_lie_where_they_belong() -> None:
     """Between two screens, a plate that sends its wave elsewhere: the echo is some 70 dB below that
     of all its currents in phase. Rays that start 2 um beside the plate shift both borders by that,

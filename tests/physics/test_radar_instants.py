@@ -66,7 +66,10 @@ def test_a_rotor(rate: float) -> None:
     assert off(received, scale * reference) < 0.01
 
 
-@pytest.mark.parametrize("rate", [20.0, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "rate",
+    [pytest.param(20.0, marks=pytest.mark.whole), pytest.param(60.0, marks=pytest.mark.slow)],
+)
 def test_a_dihedral_that_turns_fast(rate: float) -> None:
     """By up to 17 deg to either side, 0.3 m before its axis: at every slot within 1 % rms of the
     double bounce's closed form, of the phase of the corner line and sqrt(2) cos(45 deg + |angle|)

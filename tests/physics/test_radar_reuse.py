@@ -100,7 +100,11 @@ def test_where_nothing_moved_all_is_kept_bit_for_bit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "least"), [pytest.param("yard", 0.15, marks=pytest.mark.slow), ("street", 0.5)]
+    ("name", "least"),
+    [
+        pytest.param("yard", 0.15, marks=pytest.mark.slow),
+        pytest.param("street", 0.5, marks=pytest.mark.whole),
+    ],
 )
 def test_a_car_that_drives_on(name: str, least: float) -> None:
     """The same echoes as by itself, within what is told, which is no more than half as much again

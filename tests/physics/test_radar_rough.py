@@ -84,6 +84,7 @@ def test_mean_power_does_not_depend_on_the_number(count: int) -> None:
     assert 10 * np.log10(found / expected_power()) == pytest.approx(0, abs=0.1)
 
 
+@pytest.mark.whole
 def test_speckle_is_exponential() -> None:
     """Power over 200 surfaces of other seeds: a Kolmogorov-Smirnov test against the exponential
     with its mean, at a false-alarm rate of 1e-3, and the phase against the uniform one, likewise.
@@ -94,6 +95,7 @@ def test_speckle_is_exponential() -> None:
     assert stats.kstest(np.angle(waves) / (2 * np.pi) + 0.5, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.whole
 def test_speckle_decorrelates_as_the_radar_moves() -> None:
     """Sideways by d before a wall W wide at R: sinc(2 W d / (lambda R)), the points being those of
     the surface: expectation over their phases, point by point.

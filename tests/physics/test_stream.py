@@ -30,6 +30,7 @@ def drive(step_m: float = 0.05):
         i += 1
 
 
+@pytest.mark.whole
 def test_a_frame_on_the_way_is_the_frame_of_a_capture_there(small: System) -> None:
     """Expected electrons of every cell agree within noise and tracing: the rig moves, or the world
     is rebuilt around it.

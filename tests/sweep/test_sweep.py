@@ -292,7 +292,10 @@ def test_curves_are_integrated_for_each_wavelength(study, tmp_path: Path) -> Non
     np.testing.assert_allclose(relative, [[1.0, 0.5], [0.5, 0.25]], rtol=1e-6)
 
 
-@pytest.mark.parametrize("kills_tried", [2, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kills_tried",
+    [pytest.param(2, marks=pytest.mark.whole), pytest.param(50, marks=pytest.mark.slow)],
+)
 def test_kill_and_resume_give_the_same_bits(
     study, a_worker: str, tmp_path: Path, kills_tried: int
 ) -> None:

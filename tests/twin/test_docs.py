@@ -108,16 +108,16 @@ def test_the_walks_give_what_the_tour_says() -> None:
     for block in re.findall(r"```python\n(.*?)```", TOUR, re.DOTALL):
         exec(block, names)
     told = {
-        "mean_e": 10_701_690,
-        "count": 14_995,
-        "electrons": 10_700_287,
-        "value": -427_543,
-        "cell_e": 7745,
+        "mean_e": 10_702_171,
+        "count": 15_006,
+        "electrons": 10_708_869,
+        "value": -422_862,
+        "cell_e": 7873,
         "truth_e": 7740,
         "delay_s": 37.602e-9,
     }
     # Noise is drawn by NumPy, light by the renderer: other processors may round it otherwise.
     for name, value in told.items():
         assert names[name] == pytest.approx(value, rel=2e-3), name
-    assert names["score"].psnr_db == pytest.approx(37.7, abs=0.1)
+    assert names["score"].psnr_db == pytest.approx(37.6, abs=0.1)
     assert names["detection"].range_m == pytest.approx(5.6377, abs=2e-4)

@@ -229,6 +229,7 @@ def test_the_record_alone_gives_the_image(finished: Path) -> None:
     assert np.corrcoef(image.ravel(), expected.ravel())[0, 1] > 0.95
 
 
+@pytest.mark.whole
 def test_same_seed_same_bytes_in_another_process(finished: Path, tmp_path: Path) -> None:
     """With another number of threads: nothing depends on how the work is shared."""
     code = OTHER_THREADS.format(out=tmp_path / "again")

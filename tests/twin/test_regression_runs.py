@@ -215,6 +215,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
         assert {v.metric.name for v in verdicts if v.worse} == expected, detector.__name__
 
 
+@pytest.mark.whole
 def test_a_detector_is_held_against_its_baseline(twin_truth, tmp_path: Path) -> None:
     """One's own detector in one line: made, kept, then worse, with a picture of its detections."""
 

@@ -297,8 +297,8 @@ def test_a_sweep_that_fails_is_one_line_and_may_be_asked_for_again(scene, caplog
 
 @pytest.mark.parametrize("rung", ["targets", "optics", "rough"])
 def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
-    """At rest the records are those of single captures, though traced once unless rays are drawn
-    by seed; on a track every stop is traced.
+    """At rest the records are those of single captures, though traced once, since rough surfaces
+    belong to the scene; on a track every stop is traced.
     """
     traced: list[int] = []
 
@@ -314,10 +314,10 @@ def test_what_stands_is_traced_once(rung: str, monkeypatch) -> None:
     for number in range(3):
         expected = radar_capture(at_rest, design, seed=SEED + number, fidelity=quick).record
         assert np.array_equal(sweeps(number).record.iq, expected.iq)
-    assert len(traced) == (3 if rung == "rough" else 1)
+    assert len(traced) == 1
     on_track = RadarSweeps(scene, design, SEED, quick)
     assert len({on_track(number).record.iq.tobytes() for number in range(3)}) == 3
-    assert len(traced) == (6 if rung == "rough" else 4)
+    assert len(traced) == 4
 
 
 def test_prefetcher() -> None:

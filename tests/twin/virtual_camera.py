@@ -18,7 +18,7 @@ from twin.serve.serial import CameraServer
 from twin.system import System, load_system
 
 SEED = 6
-QUICK = Fidelity(samples=4, max_depth=1)
+QUICK = Fidelity(samples=4, max_depth=1, motion_tolerance=None)
 PATIENCE = Patience(reply_s=0.4, attempts=5, reconnect_s=10.0, between_attempts_s=0.05)
 SETTINGS = SpiSettings(PatternSet(16, 16, 32), 80e-6, 100e-6)
 
