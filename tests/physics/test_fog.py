@@ -171,6 +171,7 @@ def test_every_tracer_finds_the_same_light_in_fog(start) -> None:
 @pytest.mark.parametrize(
     "asymmetry", [pytest.param(g, marks=pytest.mark.whole) for g in (0.0, 0.85)] + [0.5]
 )
+@pytest.mark.whole
 def test_scattered_light_is_reciprocal_and_that_of_a_random_walk(asymmetry: float) -> None:
     """An endless wall at an optical depth of 1, emitter 20 degrees wide, detector 60: the same
     light whichever device paths start at, and that of a walk in float64 which connects nothing

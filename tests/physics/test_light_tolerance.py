@@ -139,6 +139,7 @@ def test_a_small_bright_facet_is_met_where_it_matters() -> None:
         assert np.sqrt(np.mean(light.standard_error**2)) <= limit
 
 
+@pytest.mark.whole
 def test_light_without_any_direct_path_is_found() -> None:
     """The detector looks at what the emitter does not light: the first look finds no light."""
     problem = box(0.7)

@@ -341,6 +341,7 @@ def test_next_to_no_motion_is_next_to_no_difference(system: System) -> None:
     assert 0 < frame.decision.bound < 1e-6
 
 
+@pytest.mark.whole
 def test_a_capture_says_what_it_took_and_has_the_truth_of_the_middle(system: System) -> None:
     frozen = replace(DEFAULT, motion_tolerance=None)
     got = capture(many(), system, seed=2)

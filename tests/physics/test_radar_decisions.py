@@ -286,6 +286,7 @@ def test_a_pass_is_repeated_for_bodies_that_need_it(monkeypatch) -> None:
     assert {body.name for body in once.bodies} < {body.name for body in found.bodies}
 
 
+@pytest.mark.whole
 def test_the_reference_follows_as_many_as_it_takes() -> None:
     """Three reflections return a ninth of the echo of mirrors that throw rays to and fro."""
     scene, finest = facing_plates(), EVERYTHING.with_(radar_tolerance=0.01)

@@ -352,6 +352,7 @@ def test_a_plate_beside_the_radar_that_seems_louder_at_first(tolerance: float) -
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.03])
+@pytest.mark.whole
 def test_a_chip_before_a_needle(tolerance: float) -> None:
     """2 mm before 40 mm, which answers 20 dB louder for its shadow.
 

@@ -288,6 +288,7 @@ def test_quality_names_its_fault() -> None:
         TracingQuality(max_depth=0)
 
 
+@pytest.mark.whole
 def test_ten_patterns_agree_with_mitsubas_projector() -> None:
     """Sums of lit cells against ten renders with Mitsuba's `projector` and `path`: a z-test each.
 

@@ -103,6 +103,7 @@ def test_what_the_walks_name_in_a_room_is_there() -> None:
                 assert exists(f"{room}.{name}"), (room, name)
 
 
+@pytest.mark.whole
 def test_the_walks_give_what_the_tour_says() -> None:
     names: dict[str, object] = {}
     for block in re.findall(r"```python\n(.*?)```", TOUR, re.DOTALL):

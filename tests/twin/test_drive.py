@@ -231,6 +231,7 @@ def test_exposures_and_slots_stand_on_one_clock(whole: Path) -> None:
     assert last.device_ns["camera"] == last.end_ns + 2_000_000 + round(50e-6 * last.end_ns)
 
 
+@pytest.mark.whole
 def test_the_world_moves_within_a_frame_where_that_is_asked_for() -> None:
     """Of a rig at 5 m/s the first exposures are those of a frame that stands where it began, the
     last ones those of a frame that stands where it ended.

@@ -143,6 +143,7 @@ def test_a_gain_passes_and_is_offered_as_the_new_baseline(project) -> None:
     result.stdout.fnmatch_lines(["*test_mine.py::test_mine: better; keep it: pytest*"])
 
 
+@pytest.mark.whole
 def test_notes_of_workers_reach_the_terminal(pytester) -> None:
     """With pytest-xdist tests run in processes that have no terminal."""
     pytester.makepyfile(test_mine="def test_mine(twin_regression): twin_regression.notes += ['so']")

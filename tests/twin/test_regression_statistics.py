@@ -72,6 +72,7 @@ def test_what_gives_no_test_is_refused() -> None:
         compare([one()], {"psnr_db": np.zeros(8)}, {"psnr_db": np.zeros(8)}, false_alarm=1)
 
 
+@pytest.mark.whole
 def test_false_alarms_and_power_of_normal_figures() -> None:
     """What the docstring states: at the tolerance, 0.8 of the stated false alarms, and the rest for
     the test of single seeds; at the smallest loss, 95 % power. 20 000 draws each; six standard
