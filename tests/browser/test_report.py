@@ -40,8 +40,9 @@ PIXELS = """canvas => {
   }
   return [seen.size, sum, blocks];
 }"""
-#: Levels of 255, mean of a block, by which Chromium draws the same chart in another way.
-NOISE = 1.0
+#: Levels of 255, mean of a block of a hundred pixels, by which Chromium draws the same chart in
+#: another way: one or two pixels of it.
+NOISE = 6.0
 
 
 def alike(a: list[Any], b: list[Any]) -> bool:
