@@ -10,20 +10,12 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from tests.physics.devices_in_fog import AHEAD, EMITTER, FOG, TAN, beside
 from twin.optics.backscatter import _along, _in_field, airlight, backscatter, cell_rays
 from twin.optics.devices import Device
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import mean_cos_power
 from twin.optics.weather import Air
-
-TAN = math.tan(math.radians(10))
-AHEAD = np.eye(3)
-EMITTER = Device(np.zeros(3), AHEAD, TAN)
-FOG = Air(0.02, 0.0198, 0.85, 0.0142)
-
-
-def beside(*baseline_m: float, outline: str = "square") -> Device:
-    return Device(np.array(baseline_m), AHEAD, TAN, outline)  # type: ignore[arg-type]
 
 
 def scattered_back(

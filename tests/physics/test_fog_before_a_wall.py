@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.physics.devices_in_fog import EMITTER, FOG, TAN, beside
 from tests.still import still_yard
 from twin.camera import capture
 from twin.camera.light import render
@@ -25,15 +26,6 @@ from twin.optics.weather import (
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
-
-TAN = math.tan(math.radians(10))
-AHEAD = np.eye(3)
-EMITTER = Device(np.zeros(3), AHEAD, TAN)
-FOG = Air(0.02, 0.0198, 0.85, 0.0142)
-
-
-def beside(*baseline_m: float, outline: str = "square") -> Device:
-    return Device(np.array(baseline_m), AHEAD, TAN, outline)  # type: ignore[arg-type]
 
 
 @pytest.mark.whole

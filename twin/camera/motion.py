@@ -34,7 +34,7 @@ _SOON = 1e-3
 _OWN_WIDTH = 0.5
 #: Over a cell's or a metre's, what a body is wide at least, so that nothing is infinitely thin.
 _THINNEST = 1e-3
-#: Times of one question whose motions are kept for the next.
+#: Times whose motions are kept for the next question.
 _MOST_HELD = 4096
 #: A rotation that is less is none.
 _TURN_RAD = 1e-9
@@ -105,6 +105,8 @@ class WorldInMotion:
         if len(times_s) > _MOST_HELD:
             return self._moves(times_s)
         # All parts of the light ask for mostly the same times, again and again.
+        if len(self._held) > _MOST_HELD:
+            self._held.clear()
         new = np.array(sorted(set(times_s.tolist()) - self._held.keys()))
         if len(new):
             self._held.update(zip(new.tolist(), np.swapaxes(self._moves(new), 0, 1), strict=True))
