@@ -71,9 +71,19 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[optics]\nf_number = -1", r"optics\.f_number\.value = -1: .*than or equal to 0.5"),
+        ("[optics]\nf_number = -1", r"optics\.f_number\.value = -1: expected at least 0.5"),
         ("[optics]\nf_number = nan", r"optics\.f_number"),
-        ("[optics]\nf_numbr = 1", r"optics\.f_numbr = 1: no such field"),
+        ("[optics]\nf_numbr = 1", r"optics\.f_numbr = 1: no such field; did you mean f_number\?"),
+        ("[optic]\nf_number = 1", r"optic: no such field; did you mean optics\?"),
+        (
+            "[detector]\ncapacitance_f = 2e-10",
+            r"capacitance_f = 2e-10: no such field, expected dark_current_a, .*width_m",
+        ),
+        (
+            "[detector]\nwidth_m = { value = 1e-3, assumd = 'x' }",
+            r"width_m\.assumd = 'x': no such field; did you mean assumed\?",
+        ),
+        ("[detector]\nwidth_m = 0", r"detector\.width_m\.value = 0: expected above 0"),
         ("[emitter]\nrows = 60", r"rows: 60 is not a power of two"),
         (
             "[acquisition]\nn_patterns = 5000",

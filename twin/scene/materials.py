@@ -92,7 +92,7 @@ def _table(path: Path, content: bytes) -> dict[str, Material]:
     try:
         return MaterialTable.model_validate(read_toml(path)).root
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error)}") from error
+        raise InputError(f"{path}: {describe(error, MaterialTable)}") from error
 
 
 def materials_of(scene_folder: Path) -> tuple[dict[str, Material], tuple[str, ...]]:

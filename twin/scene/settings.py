@@ -214,7 +214,7 @@ def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
     try:
         settings = SceneSettings.model_validate(read_toml(path))
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error)}") from error
+        raise InputError(f"{path}: {describe(error, SceneSettings)}") from error
     if settings.track is not None and settings.rig is not None and settings.rig.moves:
         raise InputError(f"{path}: track: the rig moves by itself, expected one of both")
     carried = {target.object for target in settings.targets}

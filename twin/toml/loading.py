@@ -43,7 +43,7 @@ def load_entry(
             content = {k: _with_part(k, v, path, parts, model) for k, v in content.items()}
         entry = model.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error)}") from error
+        raise InputError(f"{path}: {describe(error, model)}") from error
     for field, value in entry.values():
         if is_data_file(field) and not Path(value.value).is_file():
             raise InputError(f"{path}: {field} = {value.value!r}: expected a file, there is none")
