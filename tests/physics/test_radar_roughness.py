@@ -24,17 +24,16 @@ from twin.scene import Pose, Rig, Scene
 ONCE = Fidelity(radar="auto", radar_bounces=1)
 
 
-def surface(rms_height_m: float, gamma: float) -> dict:
+def surface(rms_height_m: float, gamma: float | None) -> dict:
     """The materials, with asphalt of this relief."""
     row = MATERIALS["asphalt"].model_dump()
-    row["surface"] = {
-        "rms_height_m": {"value": rms_height_m, "assumed": "for the test"},
-        "backscatter_gamma": {"value": gamma, "assumed": "for the test"},
-    }
+    row["surface"] = {"rms_height_m": {"value": rms_height_m, "assumed": "for the test"}}
+    if gamma is not None:
+        row["surface"]["backscatter_gamma"] = {"value": gamma, "assumed": "for the test"}
     return {**MATERIALS, "asphalt": type(MATERIALS["asphalt"]).model_validate(row)}
 
 
-def over_floor(rms_height_m: float, gamma: float, height_m: float = 1.0) -> Scene:
+def over_floor(rms_height_m: float, gamma: float | None, height_m: float = 1.0) -> Scene:
     """A plate above a floor that begins below the radar."""
     x, z = [0.3, 25, 25, 0.3], -height_m
     corners = np.array([x, [-12, -12, 12, 12], [z] * 4], float).T
@@ -103,3 +102,28 @@ def test_a_surface_belongs_to_the_scene() -> None:
 def test_a_tolerance_leaves_it_to_bounds() -> None:
     assert Tolerance().knobs().radar == "auto"
     assert Tolerance().knobs(CARRIER_HZ / 100).radar_surface_seed == 0
+
+
+@pytest.mark.parametrize(
+    ("rms_height_m", "gamma", "is_told"),
+    [
+        (2e-3, None, True),  # exp(-4 (k s)^2) of the power is left: 1e-19
+        (0.26e-3, None, True),  # k s = 0.43: 0.48
+        (0.24e-3, None, False),  # 0.53
+        (2e-3, 1e-6, False),
+        (2e-3, 0.0, False),  # so it was asked for
+    ],
+)
+def test_a_rough_surface_without_gamma_is_told_to_absorb(
+    rms_height_m: float, gamma: float | None, is_told: bool
+) -> None:
+    """What Ament's factor takes from the mirrored wave has to go somewhere: a material that says
+    nothing of where makes a surface that the radar cannot see.
+    """
+    scene = over_floor(rms_height_m, gamma)
+    warnings = [text for text in trace(scene, RADAR, fidelity=ONCE).warnings if "absorbs" in text]
+    assert len(warnings) == is_told
+    if is_told:
+        left = np.exp(-4 * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2)
+        assert "floor absorbs what its roughness takes" in warnings[0]
+        assert f"{left:.2g} of the power" in warnings[0]

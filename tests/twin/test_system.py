@@ -105,6 +105,17 @@ def test_errors_name_file_field_and_value(tmp_path: Path, text: str, expected: s
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_that_changes_its_base_does_not_go_by_the_words_of_it(tmp_path: Path) -> None:
+    """A detector of 1 mm was told as "3 mm InGaAs photodiode", in the words of the base."""
+    write(tmp_path, 'base = "workable"\n[detector]\nwidth_m = "1 mm"\npixels = 1\n', "a.toml")
+    path = write(tmp_path, 'base = "a.toml"\nname = "b"\n', "b.toml")
+    told = "as workable, but for detector.width_m, detector.pixels"
+    assert load_system(tmp_path / "a.toml").description == told
+    assert load_system(path).description == told  # it changes nothing
+    own = write(tmp_path, 'base = "a.toml"\ndescription = "mine"\n[sky]\npart = "dusk"\n', "c.toml")
+    assert load_system(own).description == "mine"
+
+
 def test_unknown_names_and_circles(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'nope' is neither a TOML file nor one of led-16x16"):
         load_system("nope")

@@ -1,5 +1,6 @@
 """Entries from TOML files: bases, parts, and files that are named in them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,7 +88,19 @@ def _with_base(
     for section, value in content.items():
         if isinstance(value, dict) and isinstance(below.get(section), dict):
             below[section] = without_rivals(model, section, below[section], value)
+    if changed := _changed(content):
+        content.setdefault("description", f"as {found.stem}, but for {', '.join(changed)}")
     return _merged(below, content)
+
+
+def _changed(content: Mapping[str, Any]) -> list[str]:
+    """Dotted names of what a file with a base gives itself."""
+    return [
+        f"{section}.{field}" if isinstance(fields, dict) else section
+        for section, fields in content.items()
+        if section not in ("name", "description")
+        for field in (fields if isinstance(fields, dict) else (None,))
+    ]
 
 
 def _with_part(section: str, value: Any, path: Path, parts: Path, model: type[Strict]) -> Any:

@@ -46,7 +46,7 @@ from twin.radar.propagation.physical_optics import (
 )
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
-from twin.radar.propagation.roughness import rough_surfaces
+from twin.radar.propagation.roughness import absorbing_surfaces, rough_surfaces
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
@@ -148,7 +148,10 @@ def echoes(
             *unconverged(bodies),
         ),
         heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
-        warnings=silent_objects(scene, radar, roles),
+        warnings=(
+            *silent_objects(scene, radar, roles),
+            *absorbing_surfaces(scene, radar, rough),
+        ),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
         decisions=tuple(decisions),

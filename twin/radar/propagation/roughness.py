@@ -1,12 +1,13 @@
 """Which large surfaces count as rough: those whose clutter, or whose loss, a bound says counts."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from hardware.formatting import si
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
@@ -79,6 +80,26 @@ def rough_surfaces(
             ),
         ]
     return frozenset(names), tuple(decisions)
+
+
+def absorbing_surfaces(scene: Scene, radar: RadarDesign, rough: Collection[str]) -> tuple[str, ...]:
+    """Warnings of rough surfaces that mirror less than half of the power at normal incidence, and
+    scatter nothing of what is missing, since their material has no gamma.
+    """
+    warned = []
+    for item in scene.objects:
+        relief = scene.materials[item.material].surface
+        if item.name not in rough or relief is None or relief.backscatter_gamma is not None:
+            continue
+        height_m = relief.rms_height_m.value
+        left = float(coherent(height_m, np.ones(1), radar.ofdm.wavelength_m)[0]) ** 2
+        if left < 0.5:
+            warned.append(
+                f"{item.name} absorbs what its roughness takes from its reflection: "
+                f"{item.material} has surface.rms_height_m = {si(height_m, 'm')}, which leaves "
+                f"{left:.2g} of the power, and no surface.backscatter_gamma to scatter the rest"
+            )
+    return tuple(warned)
 
 
 def _clutter(scene: Scene, radar: RadarDesign, item: SceneObject, gamma: float) -> float:
