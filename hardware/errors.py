@@ -13,6 +13,14 @@ class InputError(HardwareError, ValueError):
     """A file, an argument or a record is wrong; the message names it and what was expected."""
 
 
+def check_kind(name: str, value: object, kind: type, given_by: str) -> None:
+    """Raise InputError unless an argument is of its kind, with what gives one."""
+    if not isinstance(value, kind):
+        raise InputError(
+            f"{name} = {value!r:.60}: expected a {kind.__name__}, as {given_by} gives it"
+        )
+
+
 class DeviceError(HardwareError, ValueError):
     """A device refused a request, or does not do what its protocol says."""
 

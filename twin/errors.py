@@ -5,10 +5,18 @@ catches what the vehicle's software, which the twin calls, finds wrong. `TwinErr
 all of them: what a command answers with one line.
 """
 
-from hardware.errors import HardwareError as TwinError
-from hardware.errors import InputError
+from numbers import Integral
 
-__all__ = ["EngineError", "InputError", "TwinError"]
+from hardware.errors import HardwareError as TwinError
+from hardware.errors import InputError, check_kind
+
+__all__ = ["EngineError", "InputError", "TwinError", "check_kind", "check_seed"]
+
+
+def check_seed(seed: object) -> None:
+    """Raise InputError for what is no whole number from 0."""
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"seed: {seed!r:.60}: expected a whole number from 0")
 
 
 class EngineError(TwinError, RuntimeError):

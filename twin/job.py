@@ -16,6 +16,7 @@ from twin.camera.evaluation import Evaluation, evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
+from twin.errors import check_seed
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError, check_out
 from twin.progress import Stages
@@ -115,8 +116,7 @@ def run(
     if not systems and design is None:
         raise InputError("system, radar: both are none, expected at least one of them")
     check_out(None if out is None else str(out))
-    if seed < 0:
-        raise InputError(f"seed: {seed}: expected 0 or more")
+    check_seed(seed)
     solve, how = _own(method, detection)
     knobs = knobs_of(fidelity, design.total_bandwidth_hz if design else None)
     with Stages(len(stage_names(systems, design, figures=figures))) as stages:

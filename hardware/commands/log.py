@@ -179,6 +179,7 @@ def process(
     stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
     target = out or Path(f"{stem}-processed.mcap")
     n, failed, ending = 0, False, Ending()
+    start_ns: int | None = None
     results: list[dict[str, str]] = []
     with asked_to_end() as over, Log(target) as log:
         incoming = _records(source, settings, radar_setup, over, ending)
@@ -208,8 +209,10 @@ def process(
             say.step(f"processed record {n}, of {received.topic}")
             for warning in outcome.warnings:
                 say.warn(f"{received.topic}: {warning}")
+            start_ns = received.host_ns if start_ns is None else start_ns
+            after_s = (received.host_ns - start_ns) / 1e9
             for line in outcome.lines:
-                say.verdict(f"{received.topic}: {line}")
+                say.verdict(f"{received.topic}, {after_s:.3f} s: {line}")
             if say.json:
                 results += [{"topic": received.topic, "result": line} for line in outcome.lines]
         if over.is_set():

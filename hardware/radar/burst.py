@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_kind
 from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, complex_samples, demodulate_samples
 from hardware.radar.integrity import usable_part
@@ -85,6 +85,9 @@ def demodulate(
     Raises InputError for another waveform, for transmitters without a regular TDM schedule, or
     where nothing can be used.
     """
+    from hardware.records.radar import RadarRecord
+
+    check_kind("record", record, RadarRecord, "hardware.read_radar_record")
     if waveform is not None and waveform != record.waveform:
         raise InputError(f"waveform: {waveform} is not the record's, {record.waveform}")
     part = usable_part(record, burst)

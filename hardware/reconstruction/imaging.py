@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_kind
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.motion.compensated import (
@@ -153,6 +153,7 @@ def reconstruct(
     >>> found.image.shape, int(found.image.argmax()), round(float(found.image.max()))
     ((1, 8, 8), 27, 10000)
     """
+    check_kind("record", record, SpiRecord, "hardware.read_record")
     solve = method_of(method)
     received = with_level(record.received)
     sensing = Sensing(received.patterns, mixing)

@@ -113,7 +113,7 @@ def test_the_command_saves_it_and_says_how_it_is_run(swept: Path, tmp_path: Path
 
 def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:
     refused = show(swept, "--point", 3)
-    assert "--point: is of the file to write: --save" in str(refused.exception)
+    assert "--point: chooses the point to save; expected --save" in str(refused.exception)
     far = show(swept, "--save", tmp_path / "best.toml", "--point", 128)
     assert "point = 128: expected 0 to 127" in str(far.exception)
     assert not (tmp_path / "best.toml").exists()

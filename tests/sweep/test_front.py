@@ -84,5 +84,5 @@ def test_designs_without_a_front_are_refused(swept: Path, tmp_path: Path) -> Non
     words = ["show", str(swept), "--csv", str(tmp_path / "front.csv")]
     refused = CliRunner().invoke(app, words)
     assert refused.exit_code == 1
-    assert "--csv: are the designs on a front" in str(refused.exception)
+    assert "--csv: lists the designs on a front; expected --front" in str(refused.exception)
     assert list(tmp_path.iterdir()) == []

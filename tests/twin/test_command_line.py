@@ -183,3 +183,19 @@ def test_every_command_has_the_options(twin) -> None:
             shown = twin(name, "--help")[1]
             assert "--quiet" in shown
             assert ("--json" in shown) == (name != "serve")
+
+
+@pytest.mark.parametrize(
+    ("row", "told"), [("metl", "radio.itu = 'metl' is none of"), ("metal", "")]
+)
+def test_check_tells_what_the_radar_has_no_values_of(twin, plate, tmp_path, row, told) -> None:
+    """The run ends there, minutes later perhaps."""
+    (tmp_path / "materials.toml").write_text(
+        "[mine.optical]\nreflectance = { value = 0.5, assumed = 'x' }\n"
+        f"[mine.radio]\nitu = '{row}'\n"
+    )
+    assert twin("import", plate, tmp_path / "scene", "--material", "mine")[0] == 0
+    code, out, err = twin("check", tmp_path / "scene")
+    assert code == 0
+    assert ("hybrid-79: material 'mine': " + told in err) == bool(told)
+    assert f"{len(told) and 1} warning" in out

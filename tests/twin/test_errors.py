@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,28 @@ def test_what_the_vehicle_finds_wrong_is_the_twin_s_input_error() -> None:
     assert twin.TwinError is hardware.HardwareError
     with pytest.raises(twin.InputError, match=r"prefix_s: -1 is negative"):
         hardware.OfdmWaveform(79e9, 4, 1e6, 4, 1e-5, 1, -1)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: twin.capture("yard", twin.load_system("workable")), "scene = 'yard': .*a Scene"),  # type: ignore[arg-type]
+        (lambda: twin.capture(twin.load_scene("yard"), "paper"), "system = 'paper': .*a System"),  # type: ignore[arg-type]
+        (
+            lambda: twin.capture(twin.load_scene("yard"), twin.load_system("workable"), seed=-1),
+            "seed: -1: expected a whole number",
+        ),
+        (
+            lambda: twin.radar_capture(twin.load_scene("yard"), "hybrid-79"),  # type: ignore[arg-type]
+            "radar = 'hybrid-79': .*twin.load_radar",
+        ),
+        (lambda: hardware.reconstruct("record.h5"), "record = 'record.h5': .*hardware.read_record"),  # type: ignore[arg-type]
+        (lambda: hardware.process("radar.h5"), "expected a RadarRecord"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_name_in_place_of_what_it_names_is_told(call: Callable[[], object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        call()
 
 
 @pytest.mark.parametrize("error", [InputError("a: b"), EngineError("a: b"), DeviceError("a: b")])

@@ -63,7 +63,7 @@ def test_arrays_of_one_geometry_are_not_copied_for_another() -> None:
         ([[0, 0, 0]], [[0, 0, -1]], "face 0 refers to vertex -1 of 1"),
         ([[0, 0, 0]], np.array([[0, 0, 2**32 - 1]], np.uint32), "refers to vertex 4294967295"),
         ([[0, 0, 0]], [[0.0, 0.0, 0.0]], "faces of type float64, expected indices"),
-        ([[0, 0, np.nan]], [[0, 0, 0]], "vertex 0 is [0.0, 0.0, nan]"),
+        ([[0, 0, np.nan]], [[0, 0, 0]], "vertex 0 is [0.0, 0.0, nan], expected finite numbers"),
         ([[0, 0]], [[0, 0, 0]], "vertices of shape (1, 2)"),
         ([[0, 0, 0]], [[0, 0]], "faces of shape (1, 2)"),
     ],

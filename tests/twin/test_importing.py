@@ -208,6 +208,17 @@ def test_every_material_and_colour_is_told(tmp_path: Path) -> None:
     assert "transparency: taken as opaque (part1)" in notes
 
 
+def test_objects_of_an_obj_stay_apart(tmp_path: Path) -> None:
+    """Two objects without materials, or of the same one, were one: neither could move by itself."""
+    wall = trimesh.creation.box((0.2, 4.0, 2.5))
+    post = trimesh.creation.cylinder(radius=0.1, height=1.0, sections=16)
+    post.apply_translation([-1.5, 0.0, 0.0])
+    trimesh.Scene({"wall": wall, "post": post}).export(tmp_path / "two.obj")
+    import_model(tmp_path / "two.obj", tmp_path / "scene")
+    sizes = {o.name: len(o.geometry.faces) for o in load_scene(tmp_path / "scene").objects}
+    assert sizes == {"wall": len(wall.faces), "post": len(post.faces)}
+
+
 def test_surfaces_that_are_simplified_are_told_object_by_object(tmp_path: Path) -> None:
     """A principled metal, a mask, a conductor; a plain diffuse surface is not simplified."""
     (tmp_path / "odd.xml").write_text(

@@ -338,9 +338,9 @@ def test_a_wrong_motion_is_refused(tmp_path: Path, toml: str, message: str) -> N
 
 
 def test_a_rig_needs_one_place(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs either `position_m` or"):
+    with pytest.raises(InputError, match=r"rig: needs `position_m`, or `motion.trajectory`"):
         scene(tmp_path, rig="[rig]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n")
-    with pytest.raises(InputError, match="needs either `position_m` or"):
+    with pytest.raises(InputError, match=r"rig: its trajectory says where it is.* no `position_m`"):
         scene(tmp_path, rig=RIG + "[rig.motion.trajectory]\nfile = 'car.csv'\n")
 
 

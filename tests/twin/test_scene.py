@@ -291,7 +291,7 @@ def test_whatever_scene_toml_leaves_out_is_defaulted_with_a_warning(tmp_path, to
 
 
 def test_a_rig_that_turns_needs_a_place(tmp_path: Path) -> None:
-    assert_refused(scene(tmp_path, toml="[rig]\nyaw_deg = 5\n"), "rig: needs either `position_m`")
+    assert_refused(scene(tmp_path, toml="[rig]\nyaw_deg = 5\n"), "rig: needs `position_m`")
 
 
 def test_a_bare_scene_may_bring_its_own_reflectance(tmp_path: Path) -> None:

@@ -113,6 +113,7 @@ def test_a_page_runs(page: Path, tmp_path: Path, environment: dict[str, str]) ->
 TOLD = {
     "choose_a_detector": {
         "runs/detectors/psnr_db.png": "",
+        "runs/detectors/psnr_db-minimum_time_s.png": "",
         "best/report.html": "best",
         "best/record.h5": "",
     },
@@ -120,6 +121,7 @@ TOLD = {
     "first_day": {
         "first/report.html": "mine",
         "runs/study/psnr_db.png": "",
+        "runs/study/psnr_db-minimum_time_s.png": "",
         "best.csv": "minimum_time_s",
         "best/summary.json": "PSNR",
         "best/record-tv.npz": "",

@@ -44,8 +44,8 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
     columns = (
         "wall at",
         "reflectance",
-        "signal",
-        "electrons: signal, sun, dark",
+        "signal, all cells lit",
+        "electrons of a mean exposure: signal, sun, dark",
         "noise, most of it",
     )
     table = Table(*columns, "range used", "SNR per pixel", "T for SNR 1", "z for SNR 1", box=None)

@@ -30,6 +30,7 @@ from twin.camera.verdict import (
     warnings_of_record,
 )
 from twin.detector import Detector, FrontEnd, NoiseBudget
+from twin.errors import check_kind, check_seed
 from twin.fidelity import Accuracy, Noise, knobs_of
 from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
@@ -187,6 +188,9 @@ def capture(
     >>> result.record.counts.shape == (system.n_exposures, system.n_detectors)
     True
     """
+    check_kind("scene", scene, Scene, "twin.load_scene")
+    check_kind("system", system, System, "twin.load_system")
+    check_seed(seed)
     light_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     knobs = knobs_of(fidelity)
     lit = lit_frame(

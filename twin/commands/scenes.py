@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.output import Output
+from hardware.commands.quantities import quantity_of
 from hardware.formatting import counted, number
 from twin.commands import console_of, loading
 from twin.commands.arguments import (
@@ -177,10 +178,11 @@ def check(
         str, typer.Option(help="Camera whose cells motion is told in; `none`.")
     ] = "workable",
     radar: Annotated[
-        str, typer.Option(help="Radar whose cells motion is told in; `none`.")
+        str,
+        typer.Option(help="Radar whose cells motion is told in, and that needs materials; `none`."),
     ] = "hybrid-79",
 ) -> None:
-    """Validate a scene, list what it holds, and what moves how fast."""
+    """Validate a scene: what it holds, what moves how fast, what the radar knows no values of."""
     from rich.table import Table
 
     from twin.scene import load_scene, parse_pose
@@ -207,10 +209,16 @@ def check(
         _print_motion(say, loaded, camera, design)
     for note in loaded.notes:
         say.line(f"note: {note}")
-    for warning in loaded.warnings:
+    told = list(loaded.warnings)
+    if design is not None:
+        from twin.radar.propagation.scene.materials import without_radio_properties
+
+        carrier_hz = design.ofdm.carrier_hz
+        told += [f"{design.name}: {text}" for text in without_radio_properties(loaded, carrier_hz)]
+    for warning in told:
         say.warn(warning)
     odd = sum(bool(row.remarks) for row in rows)
-    warnings = counted(len(loaded.warnings), "warning")
+    warnings = counted(len(told), "warning")
     verdict = f"{counted(len(rows), 'object')}, {odd} with remarks, {warnings}"
     say.verdict(f"{loaded.name}: {verdict}")
     say.add(
@@ -244,7 +252,12 @@ def import_(
     say: Output,
     model: Annotated[Path, typer.Argument(help="glTF, OBJ, STL or PLY file.")],
     folder: Annotated[Path, typer.Argument(help="Scene folder to write, e.g. scenes/NAME.")],
-    scale: Annotated[float, typer.Option(help="Metres per unit of the model.")] = 1.0,
+    scale: Annotated[
+        float,
+        typer.Option(
+            help="Metres per unit of the model: 0.001, or `1 mm`.", parser=quantity_of("m")
+        ),
+    ] = 1.0,
     up: Annotated[
         str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, z else.")
     ] = None,

@@ -142,9 +142,9 @@ def show(
     data = open_sweep(sweep)
     metric = metric or metrics_of(data)[0]
     if csv is not None and front is None:
-        raise InputError("--csv: are the designs on a front: --front METRIC")
+        raise InputError("--csv: lists the designs on a front; expected --front METRIC beside it")
     if point is not None and save is None:
-        raise InputError("--point: is of the file to write: --save FILE.toml")
+        raise InputError("--point: chooses the point to save; expected --save FILE.toml beside it")
     figure = None
     if front is not None:
         _tell_front(say, data, metric, front, void=void, csv=csv)
@@ -154,7 +154,8 @@ def show(
     elif save is None:
         figure = _tell_sensitivities(say, data, metric, void=void)
     if figure is not None:
-        out = out or sweep / f"{metric.replace(':', '.')}.png"
+        drawn = "-".join(filter(None, (metric, front))).replace(":", ".")
+        out = out or sweep / f"{drawn}.png"
         figure.savefig(out, dpi=150)
         say.written(out)
     if save is not None:
@@ -227,7 +228,7 @@ def _tell_front(
     designs = designs_on_front(data, metric, second, void=void)
     table = Table(box=None, title=designs.title)
     for head in designs.heads:
-        table.add_column(head, overflow="fold")
+        table.add_column(head.replace(".", ".\n"), overflow="fold")
     for cells in designs.cells:
         table.add_row(*cells)
     console_of(say).print(table)

@@ -9,7 +9,7 @@ from pathlib import Path
 from twin.camera.stream import moves
 from twin.digest import digest, source_digest, versions
 from twin.drive.clocks import DeviceClock
-from twin.errors import InputError
+from twin.errors import InputError, check_seed
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign
 from twin.scene import Scene
@@ -73,8 +73,7 @@ class Drive:
     def __post_init__(self) -> None:
         if self.system is None and self.radar is None:
             raise InputError("system, radar: both are none, expected at least one of them")
-        if self.seed < 0:
-            raise InputError(f"seed: {self.seed}: expected 0 or more")
+        check_seed(self.seed)
         if not 0 < self.duration_s <= _LONGEST_S:
             raise InputError(
                 f"duration: {self.duration_s:g} s: expected a time above 0, up to {_LONGEST_S:g} s"

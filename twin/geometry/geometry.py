@@ -45,7 +45,8 @@ class Geometry:
         _check_indices(faces, len(vertices), place)
         lost = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         if len(lost):
-            raise InputError(f"{place}: vertex {lost[0]} is {vertices[lost[0]].tolist()}")
+            vertex = vertices[lost[0]].tolist()
+            raise InputError(f"{place}: vertex {lost[0]} is {vertex}, expected finite numbers")
         object.__setattr__(self, "vertices_m", _read_only(vertices, np.float64))
         object.__setattr__(self, "faces", _read_only(faces, np.int32))
         if self.uv is not None:

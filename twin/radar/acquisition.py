@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hardware.records import QuaternionPose, RadarRecord
 from twin import __version__
 from twin.accuracy import Decision
+from twin.errors import check_kind, check_seed
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError
 from twin.progress import OpenStage
@@ -138,6 +139,9 @@ def radar_echo(
     keep: bool = False,
 ) -> RadarEcho:
     """The bursts that `radar_capture` records; same parameters, same errors."""
+    check_kind("scene", scene, Scene, "twin.load_scene")
+    check_kind("radar", radar, RadarDesign, "twin.load_radar")
+    check_seed(seed)
     worlds = _worlds(scene, radar, poses, interval_s)
     for world in worlds:
         _check_targets(world)

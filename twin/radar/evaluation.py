@@ -97,6 +97,14 @@ class RadarEvaluation:
         return "\n".join(lines if truth else lines[-1:])
 
     @property
+    def tally(self) -> str:
+        """How many targets are detected; the number of detections where the scene names none."""
+        n = len(self.capture.truth)
+        if not n:
+            return counted(len(self.detections), "detection")
+        return f"{n - len(self.missed)} of {counted(n, 'target')} detected"
+
+    @property
     def headline(self) -> str:
         """How many targets the map of the first burst shows."""
         hit = len(self.capture.truth) - len(self.missed)

@@ -1,6 +1,7 @@
 """What the models took and left out, by the bounds that decided: for the page and the terminal."""
 
 from collections.abc import Sequence
+from math import isfinite
 
 from hardware.formatting import number, si
 from twin.accuracy import Decision
@@ -26,7 +27,7 @@ def rows(told: Sequence[tuple[str, Decision]]) -> list[tuple[str, ...]]:
         (
             name,
             decision.effect,
-            number(decision.bound, 2),
+            number(decision.bound, 2) if isfinite(decision.bound) else "not bounded",
             number(decision.permitted, 2),
             decision.unit,
             "yes" if decision.taken else "no",

@@ -31,10 +31,9 @@ def map_chart(evaluation: RadarEvaluation) -> charts.Chart:
     rate_low, rate_high = shown_rates(evaluation)
     truth, found = evaluation.capture.truth, evaluation.detections
     names = [target.name for target in truth]
-    hit = len(truth) - len(evaluation.missed)
     labels = [match.name if match else "" for match in evaluation.matches]
     return {
-        "title": f"{evaluation.radar.name}: {hit} of {len(truth)} targets detected",
+        "title": f"{evaluation.radar.name}: {evaluation.tally}",
         "equal": False,
         "axes": True,
         "x": charts.axis("range rate (m/s), receding is positive", rate_low, rate_high),

@@ -35,10 +35,7 @@ def radar_map(evaluation: RadarEvaluation) -> Figure:
     axis.set_xlim(*shown_rates(evaluation))
     axis.set_ylim(0, top_range_m(evaluation))
     _mark(axis, evaluation)
-    hit = len(evaluation.capture.truth) - len(evaluation.missed)
-    axis.set_title(
-        f"{evaluation.radar.name}: {hit} of {len(evaluation.capture.truth)} targets detected"
-    )
+    axis.set_title(f"{evaluation.radar.name}: {evaluation.tally}")
     axis.set_xlabel("range rate (m/s), receding is positive")
     axis.set_ylabel("range (m)")
     return figure

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import gammainccinv
 
-from hardware.formatting import number, si
+from hardware.formatting import counted, number, si
 from twin.accuracy import Figure, Interval
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.truth import TrueTarget
@@ -78,10 +78,14 @@ def _seen(evaluation: RadarEvaluation) -> str:
         match is None and part is None
         for match, part in zip(evaluation.matches, evaluation.further, strict=True)
     )
-    told = [evaluation.headline, f"{others} detections of other surfaces"]
+    told = [evaluation.headline]
+    if evaluation.capture.truth:
+        told.append(f"{counted(others, 'detection')} of other surfaces")
     if evaluation.picture:
         told.insert(0, str(evaluation.picture))
-    return "; ".join(told) if evaluation.detections else f"no detection at all; {told[-2]}"
+    return (
+        "; ".join(told) if evaluation.detections else f"no detection at all; {evaluation.headline}"
+    )
 
 
 def _how_far(evaluation: RadarEvaluation, reach_m: float) -> str:

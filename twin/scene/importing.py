@@ -1,5 +1,6 @@
 """Turn a model file of any kind into a scene folder of ours."""
 
+import functools
 import json
 import re
 from itertools import count
@@ -63,7 +64,8 @@ def import_model(
     import trimesh
 
     _check(model, folder, scale, up, material)
-    loaded = load_quietly(model, trimesh.load_scene)
+    apart = {"split_objects": True} if model.suffix.lower() == ".obj" else {}
+    loaded = load_quietly(model, functools.partial(trimesh.load_scene, **apart))
     axis = up or _UP.get(model.suffix.lower(), "z")
     place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
     table, _ = materials_of(folder)

@@ -42,7 +42,7 @@ class Pose:
                 ("pitch", self.pitch_deg),
                 ("roll", self.roll_deg),
             )
-            if value
+            if abs(value) > 1e-9  # what rotations leave in float64
         )
         return f"x {x} m, y {y} m, z {z} m; {turns or 'looks along x'}"
 

@@ -63,9 +63,13 @@ class _Rig(Strict):
     @model_validator(mode="after")
     def _one_place(self) -> "_Rig":
         turned = any((self.yaw_deg, self.pitch_deg, self.roll_deg))
-        is_twofold = self.position_m is not None and self._on_way
-        if is_twofold or (not self.is_placed and (turned or self.moves)):
-            raise InputError("needs either `position_m` or `motion.trajectory` without `as_drawn`")
+        if self._on_way and (self.position_m is not None or turned):
+            raise InputError(
+                "its trajectory says where it is and where it looks: expected no `position_m` and "
+                "no angles beside it, or `as_drawn` in the trajectory"
+            )
+        if not self.is_placed and (turned or self.moves):
+            raise InputError("needs `position_m`, or `motion.trajectory` without `as_drawn`")
         return self
 
     @property

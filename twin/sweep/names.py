@@ -104,8 +104,8 @@ def check_metrics(metrics: tuple[str, ...], model: str) -> None:
         if name in known or (is_own(name) and model == "rendered" and _may_be_found(name)):
             continue
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {near[0]}?" if near else f", expected {', '.join(known)}"
-        raise InputError(f"metrics: {name!r} is unknown{hint}")
+        hint = f"did you mean {near[0]}? There are" if near else "expected"
+        raise InputError(f"metrics: {name!r} is unknown; {hint} {', '.join(known)}")
     if len(set(metrics)) != len(metrics):
         raise InputError("metrics: a name stands twice")
 

@@ -6,6 +6,7 @@ from typing import get_args
 import numpy as np
 
 from hardware.patterns import PatternSet
+from twin.errors import check_seed
 from twin.fidelity import DEFAULT_SHARE, Fidelity
 from twin.files import InputError, check_out, whole_folder
 from twin.progress import OpenStage, Stages, silently
@@ -130,8 +131,7 @@ def _inputs(
         raise InputError(
             f"tolerance: {tolerance:g}: expected a number above 0, in units of the sensor's noise"
         )
-    if seed < 0:
-        raise InputError(f"seed: {seed}: expected 0 or more")
+    check_seed(seed)
     return load_system(system), None if radar is None else load_radar(radar)
 
 

@@ -46,6 +46,17 @@ def radio_properties(
     )
 
 
+def without_radio_properties(scene: Scene, carrier_hz: float) -> list[str]:
+    """Why materials of the scene cannot be had at the carrier, one text for each of them."""
+    faults = []
+    for name in sorted({item.material for item in scene.objects}):
+        try:
+            radio_properties(name, scene.materials[name], carrier_hz)
+        except InputError as error:
+            faults.append(str(error))
+    return faults
+
+
 def surface_of(
     item: SceneObject, scene: Scene, carrier_hz: float
 ) -> tuple[LayeredSurface, str | None]:
