@@ -11,6 +11,7 @@ from PIL import Image
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
+from twin.scene.checking import check_scene
 from twin.scene.importing import import_model
 
 
@@ -217,6 +218,19 @@ def test_objects_of_an_obj_stay_apart(tmp_path: Path) -> None:
     import_model(tmp_path / "two.obj", tmp_path / "scene")
     sizes = {o.name: len(o.geometry.faces) for o in load_scene(tmp_path / "scene").objects}
     assert sizes == {"wall": len(wall.faces), "post": len(post.faces)}
+
+
+def test_boxes_that_touch_are_not_told_as_open(tmp_path: Path) -> None:
+    """The two boxes of an L share edges of four faces, none of one; without a face it is open."""
+    wall, wing = trimesh.creation.box((0.2, 4.0, 2.5)), trimesh.creation.box((2.0, 0.2, 2.5))
+    wing.apply_translation([-1.1, 1.9, 0.0])
+    both = trimesh.util.concatenate([wall, wing])
+    remarks = []
+    for name, mesh in (("box", wall), ("touching", both), ("cut", both.submesh([range(1, 24)])[0])):
+        mesh.export(tmp_path / f"{name}.stl")
+        import_model(tmp_path / f"{name}.stl", tmp_path / name)
+        remarks.append(*(row.remarks for row in check_scene(load_scene(tmp_path / name))))
+    assert remarks == [(), ("edges of more than two faces",), ("open surface",)]
 
 
 def test_surfaces_that_are_simplified_are_told_object_by_object(tmp_path: Path) -> None:

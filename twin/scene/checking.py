@@ -34,8 +34,11 @@ def _report(item: SceneObject, scene: Scene) -> ObjectReport:
     size = high - low
     outside = np.maximum(0, np.maximum(low - scene.rig.position_m, scene.rig.position_m - high))
     remarks = []
-    if not merged.is_watertight:
+    faces_at_edge = np.bincount(merged.edges_unique_inverse)
+    if (faces_at_edge == 1).any():
         remarks.append("open surface")
+    elif (faces_at_edge > 2).any():
+        remarks.append("edges of more than two faces")
     elif merged.volume < 0:
         remarks.append("normals point inwards")
     if not merged.is_winding_consistent:
