@@ -11,12 +11,15 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from hardware.formatting import number
 from twin.camera.chain import Chain
+from twin.camera.equal_paths import sun_shape
 from twin.camera.exposure_noise import exposure_noise_w, lit_share
 from twin.camera.exposures import Exposures
+from twin.camera.looks import Looks
 from twin.camera.model_error import side_by_side
 from twin.camera.motion import Seen, WorldInMotion
 from twin.camera.mounting import devices
 from twin.camera.rendered import RenderedLight
+from twin.camera.shadows import Shadows, shadows
 from twin.digest import digest
 from twin.optics.devices import Device
 from twin.scene import Scene
@@ -35,20 +38,26 @@ class CountChange:
     """What motion changes counts by, an estimate from above.
 
     A cell that something passes changes by the contrast of the cells as far around it as things
-    move, or by the share of a cell that they move; such changes add up over the lit cells of an
-    exposure as independent ones, and so do those of the parts of the sun's light. What comes nearer
-    grows brighter in all cells at once.
+    move, or by the share of a cell that they move, and by what its light differs by between the
+    times looked at; such changes add up over the lit cells of an exposure as independent ones, and
+    so do those of the parts of the sun's light. What comes nearer grows brighter in all cells at
+    once, and so change all cells or parts together that something covers, or shades.
 
     Parameters
     ----------
-    image, sun : (rows, columns) array
-        Light of the cells, and of the parts of the sun's light, at one instant of the frame, W.
+    images, suns : (n, rows, columns) array
+        Light of the cells, and of the parts of the sun's light, W: at one instant of the frame, and
+        then at those looked at.
+    step_s
+        From one of these to the next.
     changed : (rows, columns) array
         Cells that may change.
     unseen : (n_cells,) array
         Light that cells may have of bodies that pass them between the times looked at, W.
     seen
         How fast.
+    shadows
+        Of the bodies that may keep the sun off what is seen.
     cells_per_tangent
         Cells over the plane at distance 1.
     lit_share
@@ -57,11 +66,13 @@ class CountChange:
         Of an exposure.
     """
 
-    image: Array
-    sun: Array
+    images: Array
+    suns: Array
+    step_s: float
     changed: NDArray[np.bool_]
     unseen: Array
     seen: Seen
+    shadows: Shadows
     cells_per_tangent: float
     lit_share: float
     noise_w: float
@@ -72,20 +83,41 @@ class CountChange:
 
     def of_light(self, seconds: float) -> float:
         """The same of the emitter's light alone."""
-        cells = _contrast(self.image, self.cells_passed(seconds))[self.changed]
-        nearer = self.image.ravel() * np.minimum(self.seen.brightening_per_s * seconds, 1)
+        passed = self.cells_passed(seconds)
+        looks = self.images[1:] * self.changed
+        cells = np.maximum(_contrast(self.images, passed), self._between(looks, seconds, passed))
+        nearer = self.images[0].ravel() * np.minimum(self.seen.brightening_per_s * seconds, 1)
+        together = max(
+            float(nearer.sum()), float(self._between(looks.sum(axis=(1, 2)), seconds, passed))
+        )
         share = math.sqrt(self.lit_share)
-        independent = math.hypot(*(share * np.linalg.norm(x) for x in (cells, self.unseen)))
-        return math.hypot(independent, self.lit_share * float(nearer.sum())) / self.noise_w
+        independent = math.hypot(
+            *(share * np.linalg.norm(x) for x in (cells[self.changed], self.unseen))
+        )
+        return math.hypot(independent, self.lit_share * together) / self.noise_w
 
     def of_sun(self, seconds: float) -> float:
         """The same of the sun's light alone."""
-        passed = self.cells_passed(seconds) * len(self.sun) / len(self.image)
-        return float(np.linalg.norm(_contrast(self.sun, passed))) / self.noise_w
+        passed = self.cells_passed(seconds, self.shadows.fastest_per_s)
+        passed *= self.suns.shape[1] / self.images.shape[1]
+        parts = np.maximum(
+            _contrast(self.suns, passed), self._between(self.suns[1:], seconds, passed)
+        )
+        together = float(self._between(self.suns[1:].sum(axis=(1, 2)), seconds, passed))
+        brightest, whole = self.suns.max(axis=0), float(self.suns.sum(axis=(1, 2)).max())
+        shaded = min(self.shadows.area * brightest.size * float(brightest.max()), whole)
+        together = max(together, min(passed, 1.0) * shaded)
+        return math.hypot(float(np.linalg.norm(parts)), together) / self.noise_w
 
-    def cells_passed(self, seconds: float) -> float:
-        """Cells that what is seen passes in a time, at most."""
-        return self.seen.fastest_per_s * seconds * self.cells_per_tangent
+    def _between(self, looks: Array, seconds: float, passed: float) -> Array:
+        """What light at the times looked at differs by from one to another as far apart."""
+        step = np.abs(np.diff(looks, axis=0)).max(axis=0)
+        change = np.minimum(step * seconds / self.step_s, np.ptp(looks, axis=0))
+        return np.asarray(min(passed, 1.0) * change)
+
+    def cells_passed(self, seconds: float, beside_per_s: float = 0.0) -> float:
+        """Cells that what is seen passes in a time, at most; or what else goes that fast."""
+        return max(self.seen.fastest_per_s, beside_per_s) * seconds * self.cells_per_tangent
 
     def first_instants(
         self, duration_s: float, tolerance: float, change: Callable[[float], float]
@@ -94,7 +126,9 @@ class CountChange:
         less than a tolerance, or what is seen passes no more than some cells; ``change``: of a
         time, one of the methods.
         """
-        enough = math.ceil(min(self.cells_passed(duration_s) / _STEP_CELLS, _MOST_FIRST))
+        shadows = self.shadows.fastest_per_s if change == self.of_sun else 0.0
+        passed = self.cells_passed(duration_s, shadows)
+        enough = math.ceil(min(passed / _STEP_CELLS, _MOST_FIRST))
         n = 1
         while n < enough and change(duration_s / n) > tolerance:
             n *= 2
@@ -110,11 +144,12 @@ class _View:
     emitter: Device
     detector: Device
     shape: tuple[int, int]
+    sun_shape: tuple[int, int]
 
     @staticmethod
     def of(scene: Scene, system: System) -> "_View":
         emitter, detector, _ = devices(scene, system)
-        return _View(emitter, detector, system.image_shape)
+        return _View(emitter, detector, system.image_shape, sun_shape(system))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _View) and self._content == other._content
@@ -124,21 +159,27 @@ class _View:
 
     @cached_property
     def _content(self) -> str:
-        return digest(self.emitter, self.detector, self.shape)
+        return digest(self.emitter, self.detector, self.shape, self.sun_shape)
 
 
 @dataclass(frozen=True, eq=False)
 class _Passing:
-    """What a view has of a world in motion: how fast, and cells, (rows, columns), that change."""
+    """What a view has of a world in motion: how fast, cells, (rows, columns), that change, light at
+    some times, and shadows.
+    """
 
     seen: Seen
     changed: NDArray[np.bool_]
+    looks: Looks
+    shadows: Shadows
 
     @staticmethod
     def of(world: WorldInMotion, view: _View) -> "_Passing":
         changes = world.changes(world.looks_s, view.emitter, view.detector, view.shape)
         changed = np.asarray(np.logical_or.reduce(changes, axis=0)).reshape(view.shape)
-        return _Passing(world.seen(view.emitter, view.shape), changed)
+        seen = world.seen(view.emitter, view.shape)
+        looks = Looks.of(world, view.emitter, view.detector, view.shape, view.sun_shape)
+        return _Passing(seen, changed, looks, shadows(world, view.detector, seen.nearest_m))
 
 
 @lru_cache(maxsize=8)
@@ -160,13 +201,18 @@ def _count_change(
     system, seen = chain.system, passing.seen
     ones = np.ones_like(rendered.light.cells)
     unit = chain.powers(replace(rendered, light=replace(rendered.light, error=ones))).error_w
-    largest = (2 * emitter.tan_half_field) ** 2 / passing.changed.size * float(unit.max())
+    watt = float(unit.max())
+    largest = (2 * emitter.tan_half_field) ** 2 / passing.changed.size * watt
+    image = side_by_side(chain.powers(rendered).cells_w.sum(axis=0), system)
+    weight = chain.sun_weight(rendered)
     return CountChange(
-        side_by_side(chain.powers(rendered).cells_w.sum(axis=0), system),
-        chain.sun_weight(rendered) * rendered.sun,
+        np.concatenate([image[None], watt * passing.looks.light]),
+        weight * np.concatenate([rendered.sun[None], passing.looks.sun]),
+        passing.looks.step_s,
         passing.changed,
         largest * seen.unseen_per_m2,
         seen,
+        passing.shadows,
         max(system.image_shape) / (2 * emitter.tan_half_field),
         lit_share(chain),
         exposure_noise_w(chain, rendered),
@@ -200,9 +246,11 @@ def frozen_warnings(
     return (CaptureWarning("tolerance", text),)
 
 
-def _contrast(image: Array, passed: float) -> Array:
-    """Of each cell, what it may change by where things pass so many cells."""
-    size = 2 * min(math.ceil(passed), max(image.shape)) + 1
-    return np.asarray(
-        min(passed, 1.0) * (maximum_filter(image, size) - minimum_filter(image, size))
-    )
+def _contrast(images: Array, passed: float) -> Array:
+    """Of each cell, what it may change by at most in one of the images, (n, rows, columns), where
+    things pass so many cells.
+    """
+    side = 2 * min(math.ceil(passed), max(images.shape[1:])) + 1
+    size = (1, side, side)
+    contrast = maximum_filter(images, size) - minimum_filter(images, size)
+    return np.asarray(min(passed, 1.0) * contrast.max(axis=0))

@@ -164,8 +164,8 @@ class _Light:
 
     @property
     def n_instants(self) -> int:
-        """At which light was rendered."""
-        return len(self.times_s)
+        """At which light of the emitter, or of the sun, was rendered."""
+        return len(np.union1d(self.times_s, self.sun_times_s))
 
     def exposed(self, chain: Chain, exposures: Exposures) -> tuple[Array, Array]:
         """Mean signal and sunlight of every exposure, (n_exposures, n_shutters, n_detectors)."""
