@@ -292,6 +292,34 @@ def test_the_suns_light_moves_too(system: System) -> None:
     np.testing.assert_allclose(frame.sun_w[[0, 255, 511], 0, 0], true, rtol=0.02)
 
 
+@pytest.mark.parametrize("kind", ["shadow", "cover"])
+def test_what_the_middle_does_not_show_is_no_rest(system: System, kind: str) -> None:
+    """A shadow of what the camera never sees, thrown by a sun behind it; and a black plate that
+    fills the field in the middle of the frame alone: both change counts by their light, and the
+    exposures at the start, in the middle and at the end are those of stock renders.
+    """
+    duration = Exposures.of(system).duration_s
+    if kind == "shadow":
+        passing = going(plate("p", (-2.0, -1.6), (0.97, 1.37), 3.0), 0.0, 3.0 / duration, 0.0)
+    else:
+        passing = going(plate("p", (-6.0, -2.0), (-2, 2), 3.0), 0.0, 8.0 / duration, 0.0)
+    scene = world(plate("wall", (-9, 9), (-9, 9), 5.0), replace(passing, reflectance=0.0))
+    scene = replace(scene, sun=Sun(180.0, 30.0, 1000.0))
+    frame, noise = exposed(scene, system)
+    assert frame.decision.taken
+    assert frame.sun_w is not None
+    assert frame.signal_w is not None
+    rows = np.array([0, 256, 511])
+    powers = anew(scene, system, Exposures.of(system).middles_s[rows])
+    chain = Chain.of(system, scene.sun)
+    true = np.array(
+        [chain.mean_signal(p)[i, 0, 0] + p.sun_w[0] for i, p in zip(rows, powers, strict=True)]
+    )
+    got = (frame.signal_w + frame.sun_w)[rows, 0, 0]
+    assert np.ptp(true) > 20 * noise
+    assert np.abs(got - true).max() < 1.0 * noise
+
+
 @pytest.mark.slow
 def test_what_appears_for_a_part_of_the_frame_is_seen(system: System) -> None:
     """A ball that is in the field for 4 ms of 51."""

@@ -11,7 +11,7 @@ from twin.optics.devices import Device
 from twin.optics.paths import SunLight, TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.ray_sets import CellRays
-from twin.optics.tracer import Tracer
+from twin.optics.tracer import RAYS_AT_ONCE, Tracer
 
 Array = NDArray[np.float64]
 
@@ -57,11 +57,20 @@ class Looks:
 def _traced(tracer: Tracer, n_times: int) -> Array:
     """Direct light of a tracer's cells at all times."""
     grid = tracer.start
-    cells = np.tile(np.arange(grid.size), n_times)
-    instant = np.repeat(np.arange(n_times), grid.size)
-    nothing = np.zeros_like(cells)
-    rays = CellRays(cells, nothing, nothing + _PATHS, 1, tracer.seed, (), instant)
-    value = np.array(mitsuba().Float64(tracer.direct(rays).value))
-    light = value.reshape(n_times, grid.rows, grid.columns, _PATHS).mean(axis=-1)
+    at_once = max(1, RAYS_AT_ONCE // (grid.size * _PATHS))
+    blocks = [np.arange(n_times)[i : i + at_once] for i in range(0, n_times, at_once)]
+    means = [_mean_light(tracer, instants) for instants in blocks]
+    light = np.concatenate(means).reshape(n_times, grid.rows, grid.columns)
     still = np.abs(light - light[0]) <= _ROUNDING * light[0]
     return np.where(still, light[0], light)
+
+
+def _mean_light(tracer: Tracer, instants: NDArray[np.int64]) -> Array:
+    """Mean of the paths of each cell at these instants, cell by cell."""
+    n_cells = tracer.start.size
+    cells = np.tile(np.arange(n_cells), len(instants))
+    nothing = np.zeros_like(cells)
+    number = np.repeat(instants, n_cells)
+    rays = CellRays(cells, nothing, nothing + _PATHS, 1, tracer.seed, (), number)
+    value = np.array(mitsuba().Float64(tracer.direct(rays).value))
+    return np.asarray(value.reshape(-1, _PATHS).mean(axis=1))

@@ -20,7 +20,7 @@ class Acquisition(Strict):
     """Which patterns are shown, and for how long."""
 
     integration_time_s: Sourced[Duration]
-    """Time for which one exposure collects light."""
+    """Time for which one exposure collects light, at the end of its pattern's period."""
     pattern_period_s: Sourced[Duration]
     """From the beginning of one exposure to the next; not below the integration time."""
     n_patterns: Sourced[Count]
