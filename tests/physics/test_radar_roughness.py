@@ -13,6 +13,7 @@ from tests.physics.radar_worlds import (
     WAVELENGTH_M,
     plate,
     quad,
+    wave,
     world,
 )
 from twin.fidelity import Fidelity, Tolerance
@@ -127,3 +128,64 @@ def test_a_rough_surface_without_gamma_is_told_to_absorb(
         left = np.exp(-4 * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2)
         assert "floor absorbs what its roughness takes" in warnings[0]
         assert f"{left:.2g} of the power" in warnings[0]
+
+
+def body_alone(side_m: float, distance_m: float, material: str = "asphalt") -> Scene:
+    rig = Rig(Pose((0.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
+    return world(plate("sign", (distance_m, 0, 0), side_m, material), rig=rig)
+
+
+def test_a_body_mirrors_and_scatters_as_its_roughness_says() -> None:
+    """A plate too small to be a large surface: its facets lose exp(-2 (k s)^2) of 0.5 mm, and its
+    clutter, over 16 surfaces, is that of the radar equation within 1.5 dB: as many draws of
+    exponential speckle are off by 1 dB (one standard error).
+    """
+    scene, gamma = body_alone(0.3, 3.0), 0.05
+    smooth = trace(scene, RADAR, fidelity=ONCE.with_(radar="optics"))
+    (role,) = smooth.roles
+    assert role.role.name == "OPTICS"
+    dull = trace(replace(scene, materials=surface(0.5e-3, 0.0)), RADAR, fidelity=ONCE)
+    left = wave(dull.contributions) / wave(smooth.contributions)
+    assert left == pytest.approx(np.exp(-2 * (2 * np.pi / WAVELENGTH_M * 0.5e-3) ** 2), rel=3e-3)
+
+    bare = replace(scene, materials=surface(3e-3, gamma))  # nothing of it mirrors
+    waves = [
+        wave(trace(bare, RADAR, fidelity=ONCE.with_(radar_surface_seed=n)).contributions)
+        for n in range(16)
+    ]
+    x = 0.3 * ((np.arange(200) + 0.5) / 200 - 0.5)
+    y, z = np.meshgrid(x, x)
+    r = np.sqrt(9.0 + y**2 + z**2)
+    gain = RADAR.antenna.gain(np.stack([3.0 / r, y / r, z / r], axis=-1).reshape(-1, 3))
+    density = gain.reshape(r.shape) ** 2 * gamma * (3.0 / r) / r**4
+    expected = WAVELENGTH_M**2 / (4 * np.pi) ** 3 * density.mean() * 0.09
+    expected *= 10 ** (-RADAR.front_end.losses_db.value / 10)
+    assert 10 * np.log10(np.mean(np.abs(waves) ** 2) / expected) == pytest.approx(0, abs=2.5)
+    strays = trace(bare, RADAR, fidelity=ONCE).contributions
+    strays = strays.take(strays.wavelength_power == 1)
+    assert np.sum(np.abs(strays.amplitude) ** 2) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_wall_that_grows_into_a_mirror_keeps_its_level() -> None:
+    """Asphalt at 10 m, 1.9 and 2.0 m wide: facets, and an image. Smooth facets were 12 dB above."""
+    bodies = [trace(body_alone(side_m, 10.0), RADAR, fidelity=ONCE) for side_m in (1.9, 2.0)]
+    assert [found.roles[0].role.name for found in bodies] == ["OPTICS", "SURFACE"]
+    facets, image = (abs(wave(found.contributions)) for found in bodies)
+    assert 20 * np.log10(facets / image) == pytest.approx(0, abs=1.5)
+
+
+def test_a_body_without_gamma_stays_smooth_and_is_told() -> None:
+    scene = body_alone(0.3, 3.0, "cotton")
+    found = trace(scene, RADAR, fidelity=ONCE)
+    assert same(found, trace(scene, RADAR, fidelity=ONCE.with_(radar="optics")))
+    assert any("cotton" in line and "smooth" in line for line in found.assumptions)
+
+
+def test_a_small_body_on_wide_ground_has_speckle() -> None:
+    """Not one scatterer, as its share of the area would have it."""
+    floor = over_floor(1e-3, 0.05)
+    tile = plate("tile", (9, 0, 0.5), 0.2, "asphalt")
+    scene = replace(floor, objects=(floor.objects[0], tile))
+    found = trace(scene, RADAR, fidelity=ONCE)
+    strays = found.contributions.take(found.contributions.wavelength_power == 1)
+    assert np.count_nonzero(strays.object == found.objects.index("tile")) > 32

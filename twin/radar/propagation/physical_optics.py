@@ -279,12 +279,12 @@ def _on_edges(prepared: PreparedScene, sharp: Sequence[Sharp], longer: float) ->
 def surface_clutter(
     scene: Scene, prepared: PreparedScene, rough: Collection[str], fidelity: Fidelity
 ) -> tuple[Contributions, list[str]]:
-    """Contributions of the surfaces that count as ``rough``, by name, and which ones have no gamma
+    """Contributions of the objects that count as ``rough``, by name, and which ones have no gamma
     or one that is assumed.
     """
     surfaces, remarks, motions = [], [], prepared.motions
-    for number, (item, role) in enumerate(zip(prepared.items, prepared.roles, strict=True)):
-        if role is not ScatteringModel.SURFACE or item.name not in rough:
+    for number, item in enumerate(prepared.items):
+        if item.name not in rough:
             continue
         relief = scene.materials[item.material].surface
         gamma = relief.backscatter_gamma if relief else None

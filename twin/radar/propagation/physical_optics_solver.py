@@ -46,7 +46,7 @@ from twin.radar.propagation.physical_optics import (
 )
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
-from twin.radar.propagation.roughness import absorbing_surfaces, rough_surfaces
+from twin.radar.propagation.roughness import absorbing_surfaces, rough_surfaces, smooth_bodies
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
@@ -143,6 +143,7 @@ def echoes(
             *prepared.assumptions,
             *edges.remarks,
             *on_clutter,
+            *smooth_bodies(scene, radar, roles, fidelity),
             *unbounded,
             *round_obstacles.remarks,
             *unconverged(bodies),

@@ -1,4 +1,4 @@
-"""Which large surfaces count as rough: those whose clutter, or whose loss, a bound says counts."""
+"""Which objects count as rough: those whose clutter, or whose loss, a bound says counts."""
 
 from collections.abc import Collection, Sequence
 from time import perf_counter
@@ -29,32 +29,37 @@ _BY_IMAGES = 4.0
 def rough_surfaces(
     scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
 ) -> tuple[frozenset[str], tuple[Decision, ...]]:
-    """Names of the large surfaces that lose what they scatter, and scatter it; and, where
+    """Names of the objects that lose what they scatter, and scatter it; and, where
     ``fidelity.radar`` is ``auto``, the decisions on them.
 
-    A surface counts where its clutter in any range cell, as if nothing hid it and over one mirror
-    as well, may exceed a tenth of the noise of a cell of the map; or where what it mirrors loses
+    Large surfaces may, and bodies of a material with a gamma: without one the relief of a body is
+    taken for part of its shape (`smooth_bodies`). An object counts where its clutter in any range
+    cell, as if nothing hid it and over one mirror as well, may exceed a tenth of the noise of a
+    cell of the map; or where what it mirrors loses
     more at normal incidence, where it loses most, than is permitted of each effect.
     """
     if fidelity.radar not in ("auto", "rough"):
         return frozenset(), ()
-    large = {a.name for a in roles if a.role is ScatteringModel.SURFACE}
+    candidates = {
+        item.name
+        for item, role in _with_roles(scene, roles)
+        if role is ScatteringModel.SURFACE
+        or (role is ScatteringModel.OPTICS and _gamma(scene, item) is not None)
+    }
     if fidelity.radar == "rough":
-        return frozenset(large), ()
+        return frozenset(candidates), ()
     permitted = OF_TOLERANCE * fidelity.radar_tolerance
     names, decisions = set[str](), list[Decision]()
     for item in scene.objects:
         relief, began_s = scene.materials[item.material].surface, perf_counter()
-        if item.name not in large:
+        if item.name not in candidates:
             continue
         if relief is None:  # of which is remarked that it does not scatter
             names.add(item.name)
             continue
-        gamma = relief.backscatter_gamma
-        clutter = _clutter(scene, radar, item, gamma.value) if gamma else 0.0
-        loss = 1 - float(
-            coherent(relief.rms_height_m.value, np.ones(1), radar.ofdm.wavelength_m)[0]
-        )
+        gamma = _gamma(scene, item)
+        clutter = _clutter(scene, radar, item, gamma) if gamma else 0.0
+        loss = _loss(scene, radar, item)
         is_taken = clutter > OF_NOISE or loss > permitted
         if is_taken:
             names.add(item.name)
@@ -100,6 +105,51 @@ def absorbing_surfaces(scene: Scene, radar: RadarDesign, rough: Collection[str])
                 f"{left:.2g} of the power, and no surface.backscatter_gamma to scatter the rest"
             )
     return tuple(warned)
+
+
+def smooth_bodies(
+    scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
+) -> tuple[str, ...]:
+    """What is assumed of bodies whose material has a height and no gamma: they mirror as smooth
+    ones, which is told where roughness would take more than a tolerance permits.
+    """
+    if fidelity.radar not in ("auto", "rough"):
+        return ()
+    lost = {
+        item.material: _loss(scene, radar, item)
+        for item, role in _with_roles(scene, roles)
+        if role is ScatteringModel.OPTICS and _gamma(scene, item) is None
+    }
+    permitted = OF_TOLERANCE * fidelity.radar_tolerance
+    told = [f"{name} ({loss:.2g})" for name, loss in sorted(lost.items()) if loss > permitted]
+    if not told:
+        return ()
+    return (
+        "bodies of a material without gamma mirror as if they were smooth; as rough as their "
+        f"rms_height_m their facets would lose, of the amplitude: {', '.join(told)}",
+    )
+
+
+def _with_roles(
+    scene: Scene, roles: Sequence[Assignment]
+) -> list[tuple[SceneObject, ScatteringModel]]:
+    role_of = {a.name: a.role for a in roles}
+    return [(item, role_of[item.name]) for item in scene.objects]
+
+
+def _gamma(scene: Scene, item: SceneObject) -> float | None:
+    relief = scene.materials[item.material].surface
+    gamma = relief.backscatter_gamma if relief else None
+    return None if gamma is None else gamma.value
+
+
+def _loss(scene: Scene, radar: RadarDesign, item: SceneObject) -> float:
+    """Share of the amplitude that an object's relief takes from what it mirrors at normal
+    incidence, where it takes most.
+    """
+    relief = scene.materials[item.material].surface
+    height = relief.rms_height_m.value if relief else 0.0
+    return 1 - float(coherent(height, np.ones(1), radar.ofdm.wavelength_m)[0])
 
 
 def _clutter(scene: Scene, radar: RadarDesign, item: SceneObject, gamma: float) -> float:

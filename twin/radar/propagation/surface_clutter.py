@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 _MOST_POINTS = 2**20  # of all surfaces together, 70 MB
 _PER_SCATTERER = 16.0  # points to choose from for each that is kept
+#: Scatterers of each object at least, of which speckle is made on one far smaller than the ground.
+_LEAST = 64
 _AT_ONCE = 2**17  # points, 100 MB while they are under way
 _BEYOND = 12.0  # offsets of rays: a ray through walls ends up to 8 of them before its end
 
@@ -107,7 +109,8 @@ def clutter_echoes(
     Parameters
     ----------
     wanted
-        Approximate number of scatterers that are kept, of all surfaces together.
+        Approximate number of scatterers that are kept, of all surfaces together; more where some of
+        them would have fewer than 64.
     seed
         Of places and phases.
     """
@@ -119,10 +122,10 @@ def clutter_echoes(
     for rough, area in zip(surfaces, areas, strict=True):
         if not rough.sources:
             continue
-        count = max(int(points * area / whole), 1)
+        count = max(int(points * area / whole), int(_PER_SCATTERER * _LEAST))
         field = field_of(rough.item, count, seed)
         seen = _ahead(rough.item, field, anchor_m, place, boresight)
-        share = max(wanted * area / whole, 1.0)
+        share = max(wanted * area / whole, _LEAST)
         sample = _kept(field, seen, share)
         for first in range(0, len(sample.index), _AT_ONCE):
             parts += _echoes(context, rough, sample.take(slice(first, first + _AT_ONCE)))
