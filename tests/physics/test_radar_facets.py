@@ -126,6 +126,37 @@ def test_of_curved_waves_little_is_left_beyond_the_first_power(spread: float) ->
     assert np.median(np.abs(left) / estimate) > 0.15
 
 
+@pytest.mark.parametrize("gain_dbi", [20.0, 30.0])
+@pytest.mark.parametrize(("distance_m", "side_m"), [(0.05, 0.025), (0.05, 0.05), (0.12, 0.12)])
+def test_a_beam_narrower_than_a_plate(gain_dbi: float, distance_m: float, side_m: float) -> None:
+    """Facing a plate as near as it is wide, or twice: the complex echo at three frequencies against
+    its integral by the midpoint rule, 20 points a wavelength: within what is stated. What the beam
+    bends across a triangle was once counted twice: up to 11 % where 1 % was stated.
+    """
+    radar = RADAR.with_({"antenna.gain_dbi": gain_dbi})
+    frequencies = np.array([77e9, CARRIER_HZ, 81e9])
+    scene = world(plate("p", (distance_m, 0, 0), side_m, radar="optics"))
+    knobs = Fidelity(radar="optics", radar_tolerance=0.03, radar_bounces=1)
+    found = trace(scene, radar, fidelity=knobs)
+    echo = np.array([wave(found.contributions, f) for f in frequencies])
+
+    count = int(20 * side_m / WAVELENGTH_M)
+    x = side_m * ((np.arange(count) + 0.5) / count - 0.5)
+    y, z = np.meshgrid(x, x)
+    r = np.sqrt(distance_m**2 + y**2 + z**2)
+    towards = np.stack([distance_m / r, y / r, z / r], axis=-1)
+    gain = radar.antenna.gain(towards.reshape(-1, 3)).reshape(r.shape)
+    phase = 4 * np.pi * frequencies[:, None, None] / speed_of_light * r
+    density = gain * distance_m / r**3 * np.exp(-1j * phase)
+    loss = 10 ** (-radar.front_end.losses_db.value / 20)
+    truth = -1j / (4 * np.pi) * loss * density.sum(axis=(1, 2)) * (x[1] - x[0]) ** 2
+
+    (body,) = found.bodies
+    error = np.sqrt(np.mean(np.abs(echo - truth) ** 2))
+    assert error < body.estimated_error * body.level_amplitude
+    assert error < 0.015 * np.sqrt(np.mean(np.abs(truth) ** 2))
+
+
 def test_contributions_of_triangles_hold_over_the_band() -> None:
     """4000 triangles with path spreads of 1 um to 0.5 m, 77 to 81 GHz: within 0.5 % of the largest
     mean that a triangle of its kind can have, 1 or 2 over its phase.
@@ -136,7 +167,7 @@ def test_contributions_of_triangles_hold_over_the_band() -> None:
     k = 2 * np.pi * CARRIER_HZ / speed_of_light
     level = np.zeros((4000, 3))
     at_carrier = _divided(-k * (paths - 10)) * np.exp(-10j * k)
-    expansion = wideband_terms(paths, level, level, at_carrier, k)
+    expansion = wideband_terms(paths, np.zeros((4000, 7)), level, at_carrier, k)
     assert len(expansion.row) < 2.5 * 4000
     for frequency in (77e9, 79e9, 81e9):
         scale = frequency / CARRIER_HZ

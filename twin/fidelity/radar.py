@@ -61,7 +61,8 @@ class RadarFidelity(Knobs):
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
         no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
         ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
-        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less.
+        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less,
+        and so do bodies of a material with a gamma.
         ``auto``, under a tolerance: those do whose clutter may exceed a tenth of a cell's noise, or
         whose mirror images may lose more than a tenth of `radar_tolerance`.
         Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or
@@ -126,6 +127,7 @@ class RadarFidelity(Knobs):
         error is 0.7 % of its peak, 0.06 dB.
     radar_scatterers
         Of all rough surfaces together: below some 10 in a resolution cell speckle is no speckle.
+        Each has 64 at least.
     radar_surface_seed
         Of the places and phases of these scatterers: they belong to the scene, and are the same at
         all times, whatever the seed of a measurement. Other seeds are other surfaces of the kind.

@@ -59,16 +59,19 @@ def contributions_of(
     )
     wave = incident_on(context, lit)
     _, least, _ = level_at(scatterers, wave, lit.center, receiver, axes)
-    values = []
-    for corner in lit.corners:
-        gain, spread, length = level_at(scatterers, wave, corner, receiver, axes)
-        values += [length, gain, spread - least]
-    columns, wave_number = host(values, n), 2 * np.pi / float(context.wavelength[0])
+    a, b, c = lit.corners
+    values, gains = [], []
+    for point in (a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, lit.center):
+        gain, spread, length = level_at(scatterers, wave, point, receiver, axes)
+        gains.append(gain)
+        if len(gains) <= 3:
+            values += [length, spread - least]
+    columns, wave_number = host([*values, *gains], n), 2 * np.pi / float(context.wavelength[0])
     whole = leaves.weight * leaves.echoes.amplitude
     terms = wideband_terms(
-        np.stack(columns[::3], axis=1),
-        np.stack(columns[1::3], axis=1),
-        np.stack(columns[2::3], axis=1),
+        np.stack(columns[0:6:2], axis=1),
+        np.stack(columns[6:], axis=1),
+        np.stack(columns[1:6:2], axis=1),
         leaves.echoes.mean * np.exp(-1j * (wave_number * leaves.echoes.length_m % (2 * np.pi))),
         wave_number,
     )
@@ -156,9 +159,12 @@ def wideband_terms(
     ----------
     paths_m
         Path lengths by way of the corners, (n, 3).
-    gain, spread
-        At the corners, (n, 3): logarithms of the antenna's gain, and of spreading and obliquity
-        over those at the centroid.
+    gain
+        Logarithm of the antenna's gain at the corners, in the middles of the edges from each of
+        them to the next, and at the centroid, (n, 7): a contribution has that of its place, not
+        the mean of its ends.
+    spread
+        At the corners, (n, 3): logarithm of spreading and obliquity over those at the centroid.
     mean
         Of the wave over the triangle with the phase of its path, (n,). The difference between it
         and the sum of the contributions is divided among these in proportion to their power.
@@ -166,7 +172,6 @@ def wideband_terms(
     order = np.argsort(paths_m, axis=1)
     first, second, third = np.take_along_axis(paths_m, order, axis=1).T
     level = np.exp(np.take_along_axis(spread, order, axis=1)).T
-    gains = np.take_along_axis(gain, order, axis=1).T
     span = wave_number * (third - first)
     is_point = span < _CLOSE_RAD
     parts: list[tuple[Any, ...]] = []
@@ -179,7 +184,6 @@ def wideband_terms(
         for end in ends:
             share[np.arange(len(row)), order[row, end]] = 1 / len(ends)
         strong = np.mean([level[end][row] for end in ends], axis=0)
-        log_gain = np.mean([gains[end][row] for end in ends], axis=0)
         parts.append(
             (
                 row,
@@ -187,7 +191,7 @@ def wideband_terms(
                 length[row],
                 np.full(len(row), float(falloff)),
                 share,
-                log_gain,
+                gain[row, _middle_of(order[row][:, ends])],
             )
         )
 
@@ -222,6 +226,17 @@ def wideband_terms(
     share = power / np.maximum(of_each(power), 1e-300)[row]
     amplitude = amplitude + missing[row] * share / (turn * np.maximum(strength, 1e-300))
     return WidebandTerms(row, amplitude, length, falloff, place)
+
+
+def _middle_of(corners: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number, as in ``gain``, of the middle of some corners of each triangle, (n, 1 to 3)."""
+    count = corners.shape[1]
+    if count == 1:
+        return corners[:, 0]
+    if count == 3:
+        return np.full(len(corners), 6)
+    # Opposite corners 0, 1, 2 are the middles 4, 5, 3.
+    return np.array([4, 5, 3])[3 - corners.sum(axis=1)]
 
 
 def _of_points(x: Array, y: Array, z: Array, wave_number: float) -> Complex:
