@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.calibration import CameraCalibration, RadarCalibration
 from hardware.errors import InputError
-from hardware.formatting import number, si
+from hardware.formatting import counted, number, si
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
 from hardware.reconstruction import Method, reconstruct
@@ -127,7 +127,9 @@ def _detections(
             confirmed = tracks.update(sensor, detections, time_ns, record.pose[frame.burst])
             points = ros.points(track_cloud(confirmed), stamp, "world")
             log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
-            followed = f", {len(confirmed)} tracks"
+            followed = f", {counted(len(confirmed), 'track')}"
+            if more := tracks.bursts_to_first(sensor):
+                followed += f" (needs {counted(more, 'more burst')})"
         lines.append(
             f"burst {frame.burst}: {len(detections)} detections{frame.by}{strongest}{followed}"
         )

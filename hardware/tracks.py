@@ -18,6 +18,7 @@ class _Radar:
     tracker: Tracker
     time_ns: int
     position_m: Array
+    bursts: int = 1
 
 
 class RadarTracks:
@@ -42,7 +43,17 @@ class RadarTracks:
         elapsed_s = 1e-9 * (time_ns - last.time_ns)
         velocity = (pose.position_m - last.position_m)[:2] / elapsed_s
         last.time_ns, last.position_m = time_ns, pose.position_m
+        last.bursts += 1
         return last.tracker.update(detections, elapsed_s, pose, velocity)
+
+    def bursts_to_first(self, sensor: str) -> int:
+        """How many more bursts a sensor needs before any track of it can be confirmed: the first
+        one, of which no track begins, and as many as confirm one.
+        """
+        radar = self._radars.get(sensor)
+        if radar is None:
+            return 1 + Tracker.confirm
+        return max(1 + radar.tracker.confirm - radar.bursts, 0)
 
 
 def cloud(tracks: Sequence[TargetTrack]) -> dict[str, Array]:

@@ -91,7 +91,8 @@ def run(
         files of the run before go.
     fidelity
         Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, the error that the
-        model may add. Default: light to a fifth of the sensor's noise, echoes as in `standard`.
+        model may add. Default: `Tolerance()`, light to a fifth of the sensor's noise, each body's
+        echo to 10 % of its level.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
     figures

@@ -46,10 +46,10 @@ def file_schema(kind: str) -> dict[str, Any]:
     # A base may give all that is required, and a part what is required in a section.
     schema["properties"]["base"] = {"type": "string", "description": _BASE}
     schema.pop("required", None)
-    for section in entry.sections().values():
+    for name, section in entry.sections().items():
         definition = schema["$defs"][section.__name__]
         definition.pop("required", None)
-        if kind != "radar":
+        if name in entry.with_parts:
             definition["properties"]["part"] = {"type": "string", "description": _PART}
     return schema
 

@@ -129,7 +129,12 @@ def test_the_command(tmp_path: Path) -> None:
     done = ugv("process", tmp_path / "run.mcap", "-o", out, "--tracks", "--image-every", "16")
     assert done.returncode == 0, done.stderr
     bursts = [line for line in done.stdout.splitlines() if "burst 0" in line]
-    assert [line.rsplit(", ", 1)[1] for line in bursts] == [f"{n} tracks" for n in (0, 0, 0, 1)]
-    assert "/spi/record: 4 images" in done.stdout
+    assert [line.rsplit(", ", 1)[1] for line in bursts] == [
+        "0 tracks (needs 3 more bursts)",
+        "0 tracks (needs 2 more bursts)",
+        "0 tracks (needs 1 more burst)",
+        "1 track",
+    ]
+    assert "/spi/record, 0.000 s: 4 images" in done.stdout
     topics = [one.topic for one in read_messages(out)]
     assert (topics.count("/radar/tracks"), topics.count("/spi/image")) == (4, 4)

@@ -56,14 +56,15 @@ def test_a_saved_point_is_the_system_that_was_swept(swept: Path, tmp_path: Path)
     study = load_study(swept.parent / "study.toml")
     inputs = inputs_of(study)
     for point in (0, 5, study.n_points - 1):
-        found = chosen(swept, point, tmp_path / "best.toml")
+        path = tmp_path / f"{point}.toml"
+        found = chosen(swept, point, path)
         write_chosen(found)
-        saved = load_system(tmp_path / "best.toml")
+        saved = load_system(path)
         expected = system_of(study, study.point(point), inputs)
         assert [(n, v.value) for n, v in saved.values()] == [
             (n, v.value) for n, v in expected.values()
         ]
-        assert saved.name == "best"
+        assert saved.name == str(point)
         assert saved.detector.width_m.assumed == f"out, point {point}"
         assert saved.readout.read_noise_e.assumed == "a guess"
     assert found.left_out == (f"link.reflectance = {study.point(point)['link.reflectance']:g}",)
@@ -106,9 +107,18 @@ def test_the_command_saves_it_and_says_how_it_is_run(swept: Path, tmp_path: Path
         "twin", "budget", "--system", str(tmp_path / "best.toml")
     ]  # fmt: skip
     assert document["left_out"] == ["link.reflectance = 0.8"]
-    other = show(*words, "--point", 3)
+    assert show(*words).exit_code == 0  # the same again
+    other = show(*words, "--save", tmp_path / "other.toml", "--point", 3)
     assert json.loads(other.stdout)["point"] == 3
-    assert "out, point 3" in (tmp_path / "best.toml").read_text()
+    assert "out, point 3" in (tmp_path / "other.toml").read_text()
+
+
+def test_a_file_that_says_something_else_is_not_written_over(swept: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('base = "paper"\n')
+    refused = show(swept, "--metric", "snr", "--save", mine)
+    assert f"{mine}: exists already, expected a new file" in str(refused.exception)
+    assert mine.read_text() == 'base = "paper"\n'
 
 
 def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from twin.cli import app
 from twin.sweep import load_study, open_sweep, run_sweep
-from twin.sweep.front import designs_on_front
+from twin.sweep.front import all_points, designs_on_front
 
 GRID = """
 [grid]
@@ -80,9 +80,24 @@ def test_a_front_without_points_says_so(swept: Path) -> None:
     assert designs.verdict == "no point has a number of both snr and minimum_time_s"
 
 
-def test_designs_without_a_front_are_refused(swept: Path, tmp_path: Path) -> None:
-    words = ["show", str(swept), "--csv", str(tmp_path / "front.csv")]
-    refused = CliRunner().invoke(app, words)
-    assert refused.exit_code == 1
-    assert "--csv: lists the designs on a front; expected --front" in str(refused.exception)
-    assert list(tmp_path.iterdir()) == []
+def test_without_a_front_every_point_is_listed(swept: Path, tmp_path: Path) -> None:
+    """Those off the front had their numbers in Python alone."""
+    words = ["show", str(swept), "--csv", str(tmp_path / "points.csv")]
+    words += ["--out", str(tmp_path / "snr.png")]
+    shown = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert str(tmp_path / "points.csv") in shown.stdout
+    data, study = open_sweep(swept), load_study(swept.parent / "study.toml")
+    with (tmp_path / "points.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert [int(row["point"]) for row in read] == list(range(study.n_points))
+    assert {"snr", "minimum_time_s", "maximum_distance_m", "snr.half_width"} <= set(read[0])
+    assert [float(row["snr"]) for row in read] == data["snr"].to_numpy().ravel().tolist()
+    assert float(read[7]["system.optics.f_number"]) == study.point(7)["system.optics.f_number"]
+
+
+def test_a_point_that_failed_says_why(swept: Path) -> None:
+    data = open_sweep(swept).load()
+    data["error"] = data["error"].astype("<U9")
+    data["error"].to_numpy().ravel()[5] = "too far"
+    rows = all_points(data)
+    assert [row["point"] for row in rows if row["error"]] == [5]

@@ -4,6 +4,7 @@ set, and names field, value and what was expected.
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +18,27 @@ WORKABLE = load_system("workable")
 
 
 def test_a_changed_value_is_the_only_difference() -> None:
-    changed = WORKABLE.with_({"optics.f_number": 0.8, "name": "workable"})
+    same = {"name": WORKABLE.name, "description": WORKABLE.description}
+    changed = WORKABLE.with_({"optics.f_number": 0.8, **same})
     assert changed.optics.f_number.value == 0.8
     assert changed.optics.f_number.assumed
-    back = changed.with_({"optics.f_number": WORKABLE.optics.f_number, "name": "workable"})
+    back = changed.with_({"optics.f_number": WORKABLE.optics.f_number, **same})
     assert back == WORKABLE
+
+
+def test_the_description_says_what_was_changed_as_that_of_a_file_does(tmp_path: Path) -> None:
+    """In the words of its base a detector of 1 mm was one of 3 mm."""
+    once = WORKABLE.with_({"detector.width_m": "1 mm"})
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "workable"\n[detector]\nwidth_m = "1 mm"\n')
+    assert once.description == load_system(path).description
+    again = once.with_({"detector.pixels": 1, "detector.width_m": "2 mm"})
+    assert again.description == "as workable, but for detector.width_m, detector.pixels"
+    named = again.with_({"name": "mine"})
+    assert named.description == again.description
+    other = named.with_({"optics.f_number": 0.8})
+    assert other.description == "as mine, but for optics.f_number"
+    assert once.with_({"description": "mine", "detector.pixels": 1}).description == "mine"
 
 
 def test_the_name_says_once_that_something_was_changed() -> None:
@@ -55,6 +72,7 @@ def test_a_field_drops_its_alternatives() -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
+        ({"detector.width_m": "-2 mm"}, "detector.width_m.value = '-2 mm': expected above 0"),
         ({"optics.f_number": 0.3}, "system: optics.f_number.value = 0.3: .*0.5"),
         ({"optics.f_number": "fast"}, "optics.f_number"),
         ({"optics.f_nummer": 0.8}, "optics.f_nummer: no such field; .*optics.f_number"),

@@ -66,6 +66,8 @@ def test_bundled_files_are_valid(kind: str) -> None:
     [
         ("system", 'base = "paper"\n[optics]\nf_numbr = 1.0'),
         ("system", 'base = "paper"\n[optics]\nf_number = "wide"'),
+        ("system", 'base = "paper"\n[acquisition]\npart = "fga015"'),
+        ("part", 'base = "fga015"\n[detector]\npart = "fga015"'),
         ("radar", 'base = "hybrid-79"\n[waveform]\nsymbols = "chirp"'),
         ("scene", "[rig]\nposition_m = [0, 0]"),
         ("materials", "[tar.optical]\nreflectance = 1.5"),

@@ -83,6 +83,14 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
             "[detector]\nwidth_m = { value = 1e-3, assumd = 'x' }",
             r"width_m\.assumd = 'x': no such field; did you mean assumed\?",
         ),
+        ("[detector]\ncapacitance_f = 1", r"no such field, expected .*line_rate_hz, part, pixels"),
+        ("[acquisition]\nsubset = 1", r"expected columns, .*order, pattern_period_s"),
+        ("[zzz]\nf_number = 1", r"zzz: no such field, expected acquisition, base, description"),
+        ("[detector]\nwidth_m = '-2 mm'", r"width_m\.value = '-2 mm': expected above 0"),
+        (
+            "[detector.width_m]\nvalue = '-2 mm'\nsource = 'x'",
+            r"width_m\.value = '-2 mm': expected above 0",
+        ),
         ("[detector]\nwidth_m = 0", r"detector\.width_m\.value = 0: expected above 0"),
         ("[emitter]\nrows = 60", r"rows: 60 is not a power of two"),
         (

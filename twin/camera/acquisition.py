@@ -169,8 +169,8 @@ def capture(
     seed
         Of all random numbers: same seed, same counts, bit for bit.
     fidelity
-        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`. Default: light to a
-        fifth of the sensor's noise, echoes as in `standard`.
+        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`. Default:
+        `Tolerance()`, light to a fifth of the sensor's noise.
     mesh_scene
         `mitsuba_scene(scene)`, if already built.
     stage

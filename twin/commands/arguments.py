@@ -33,8 +33,8 @@ ToleranceOption = Annotated[
 FidelityOption = Annotated[
     str | None,
     typer.Option(
-        help="Fixed knobs: draft, standard or reference; default: light to a tolerance of 0.2, "
-        "echoes as in standard."
+        help="Fixed knobs: draft, standard or reference; default: light and echoes to a tolerance "
+        "of 0.2."
     ),
 ]
 

@@ -60,8 +60,8 @@ def sweep(
     void = f", {done.n_void} void" if done.n_void else ""
     coarse = "" if done.n_coarse is None else f", {done.n_coarse} of them coarse: off the front"
     results = done.out / "results.zarr"
-    points, renders = counted(done.n_points, "point"), counted(done.renders, "render")
-    say.verdict(f"{points}{coarse}{failed}{void}, {renders}: {results}")
+    shared = f", from {counted(done.renders, 'render')} of light" if done.renders else ""
+    say.verdict(f"{counted(done.n_points, 'point')}{coarse}{failed}{void}{shared}: {results}")
     say.add(
         points=done.n_points,
         failed=done.n_failed,
@@ -120,7 +120,7 @@ def show(
     front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
     void: Annotated[bool, typer.Option("--void", help="Draw points of void records too.")] = False,
     csv: Annotated[
-        Path | None, typer.Option(help="CSV file to write: the designs on the front.")
+        Path | None, typer.Option(help="CSV file to write: designs on the front, else all points.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
     save: Annotated[
@@ -137,12 +137,11 @@ def show(
     from twin.errors import InputError
     from twin.sweep import open_sweep
     from twin.sweep.dataset import metrics_of
+    from twin.sweep.front import all_points, write_rows
     from twin.sweep.show import plot_front, plot_plane
 
     data = open_sweep(sweep)
     metric = metric or metrics_of(data)[0]
-    if csv is not None and front is None:
-        raise InputError("--csv: lists the designs on a front; expected --front METRIC beside it")
     if point is not None and save is None:
         raise InputError("--point: chooses the point to save; expected --save FILE.toml beside it")
     figure = None
@@ -158,6 +157,9 @@ def show(
         out = out or sweep / f"{drawn}.png"
         figure.savefig(out, dpi=150)
         say.written(out)
+    if csv is not None and front is None:
+        write_rows(all_points(data, void=void), csv)
+        say.written(csv)
     if save is not None:
         _save_design(say, sweep, data, metric, point, void=void, path=save)
 
@@ -223,7 +225,7 @@ def _tell_front(
     """The designs on a front as a table, and as a CSV file."""
     from rich.table import Table
 
-    from twin.sweep.front import designs_on_front, write_designs
+    from twin.sweep.front import designs_on_front, write_rows
 
     designs = designs_on_front(data, metric, second, void=void)
     table = Table(box=None, title=designs.title)
@@ -235,7 +237,7 @@ def _tell_front(
     say.verdict(designs.verdict)
     say.add(metrics=[metric, second], verdict=designs.verdict, designs=designs.rows)
     if csv is not None:
-        write_designs(designs, csv)
+        write_rows(designs.rows, csv, designs.heads)
         say.written(csv)
 
 

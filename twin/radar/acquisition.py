@@ -181,8 +181,9 @@ def radar_capture(
     seed
         Of every random draw: same seed, same counts, bit for bit.
     fidelity
-        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`. Default: light to a
-        fifth of the sensor's noise, echoes as in `standard`.
+        Knobs, each with the error it bounds; a preset's name; or a `Tolerance`. Default:
+        `Tolerance()`, each body's echo to 10 % of its level; reflections, images, edges, rough
+        surfaces and ways round obstacles as far as bounds of what they add ask for.
     weather
         Of the air in between; default: it does not attenuate.
     poses, interval_s

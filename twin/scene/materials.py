@@ -89,10 +89,11 @@ def load_materials(path: Path) -> dict[str, Material]:
 @lru_cache(maxsize=8)
 def _table(path: Path, content: bytes) -> dict[str, Material]:
     """``content`` of the file is in the key alone: its name stays when it changes."""
+    rows = read_toml(path)
     try:
-        return MaterialTable.model_validate(read_toml(path)).root
+        return MaterialTable.model_validate(rows).root
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error, MaterialTable)}") from error
+        raise InputError(f"{path}: {describe(error, MaterialTable, rows)}") from error
 
 
 def materials_of(scene_folder: Path) -> tuple[dict[str, Material], tuple[str, ...]]:

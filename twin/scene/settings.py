@@ -215,10 +215,11 @@ class SceneSettings(Strict):
 
 def load_settings(path: Path, object_names: set[str]) -> SceneSettings:
     """Read and validate; names of objects must exist in the scene."""
+    content = read_toml(path)
     try:
-        settings = SceneSettings.model_validate(read_toml(path))
+        settings = SceneSettings.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error, SceneSettings)}") from error
+        raise InputError(f"{path}: {describe(error, SceneSettings, content)}") from error
     if settings.track is not None and settings.rig is not None and settings.rig.moves:
         raise InputError(f"{path}: track: the rig moves by itself, expected one of both")
     carried = {target.object for target in settings.targets}

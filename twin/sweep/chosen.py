@@ -111,7 +111,12 @@ def chosen(sweep: Path, point: int, path: Path) -> Chosen:
 
 
 def write_chosen(found: Chosen) -> None:
-    """Write the files, each whole or not at all."""
+    """Write the files, each whole or not at all. Raises InputError where there is one already that
+    says something else.
+    """
+    for path, text in found.files.items():
+        if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
+            raise InputError(f"{path}: exists already, expected a new file")
     for path, text in found.files.items():
         with whole_file(path) as partial:
             partial.write_text(text, encoding="utf-8")

@@ -1,15 +1,19 @@
-"""The designs on a Pareto front of two metrics, as rows: printed, as CSV and as JSON."""
+"""Points of a sweep as rows, those on a Pareto front of two metrics or all: printed, as CSV and as
+JSON.
+"""
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
-from twin.sweep.dataset import COARSE, column, gain, half_width
+from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of
 from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
@@ -92,44 +96,54 @@ def designs_on_front(
     values = [each.to_numpy().ravel() for each in columns]
     front = pareto_front(np.stack([gain(each).to_numpy().ravel() for each in columns]))
     front = front[np.argsort(values[0][front], kind="stable")]
-    shape = columns[0].shape
-    parameters = tuple(sorted(str(name) for name in data.coords))
-    # Of two metrics one may vary along fewer dimensions than the points do.
-    settings = {
-        name: np.broadcast_to(
-            data[name].broadcast_like(columns[0]).transpose(*columns[0].dims).to_numpy(), shape
-        ).ravel()
-        for name in parameters
-    }
-    widths = {name: half_width(data, name) for name in names}
-    rows = [
-        {
-            "point": int(point),
-            **{name: settings[name][point].item() for name in parameters},
-            **{name: float(v[point]) for name, v in zip(names, values, strict=True)},
-            **{
-                f"{name}.half_width": float("nan")
-                if width is None
-                else float(width.to_numpy().ravel()[point])
-                for name, width in widths.items()
-            },
-        }
-        for point in front
-    ]
+    rows = _rows(data, names, front, void=void)
     units = {name: _unit(data[name]) for name in names}
     n_points = int(np.isfinite(sum(values)).sum())
     n_coarse = int(data[COARSE].to_numpy().ravel()[front].sum()) if COARSE in data else 0
-    return FrontDesigns(names, parameters, rows, units, n_points, n_coarse)
+    return FrontDesigns(names, _parameters(data), rows, units, n_points, n_coarse)
 
 
-def write_designs(designs: FrontDesigns, path: Path) -> None:
-    """A CSV file, one row per design; unknown values are empty."""
-    heads = list(designs.rows[0]) if designs.rows else list(designs.heads)
+def all_points(data: "xarray.Dataset", *, void: bool = False) -> list[dict[str, Any]]:
+    """Every point of a sweep's dataset as a row like those of `FrontDesigns`, with all metrics and,
+    as ``error``, why it failed.
+    """
+    errors = data["error"].to_numpy().ravel()
+    rows = _rows(data, metrics_of(data), np.arange(len(errors)), void=void)
+    return [row | {"error": str(error)} for row, error in zip(rows, errors, strict=True)]
+
+
+def write_rows(rows: list[dict[str, Any]], path: Path, heads: Sequence[str] = ()) -> None:
+    """A CSV file, one row per point, under the rows' own heads or, where there are none, those
+    given; unknown values are empty.
+    """
     with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, heads)
+        writer = csv.DictWriter(file, list(rows[0]) if rows else heads)
         writer.writeheader()
-        for row in designs.rows:
+        for row in rows:
             writer.writerow({name: "" if value != value else value for name, value in row.items()})
+
+
+def _rows(
+    data: "xarray.Dataset", metrics: Sequence[str], points: NDArray[np.intp], *, void: bool
+) -> list[dict[str, Any]]:
+    """Number, parameters, metrics and half-widths of their intervals of some points."""
+    like = data[metrics[0]]
+    found: dict[str, list[Any]] = {"point": points.tolist()}
+    for name in _parameters(data):
+        # A parameter varies along its own dimension alone.
+        settings = data[name].broadcast_like(like).transpose(*like.dims)
+        found[name] = settings.to_numpy().ravel()[points].tolist()
+    for name in metrics:
+        found[name] = column(data, name, void=void).to_numpy().ravel()[points].tolist()
+    for name in metrics:
+        width = half_width(data, name)
+        known = np.full(like.size, np.nan) if width is None else width.to_numpy().ravel()
+        found[f"{name}.half_width"] = known[points].tolist()
+    return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
+
+
+def _parameters(data: "xarray.Dataset") -> tuple[str, ...]:
+    return tuple(sorted(str(name) for name in data.coords))
 
 
 def _unit(metric: "xarray.DataArray") -> str:

@@ -284,7 +284,8 @@ def _study_of(out: Path, plan: dict[str, Any]) -> Study:
     try:
         return Study.model_validate({**plan["study"], "folder": plan["folder"]})
     except ValidationError as error:
-        raise InputError(f"{out / 'study.json'}: study: {describe(error, Study)}") from error
+        told = describe(error, Study, plan["study"])
+        raise InputError(f"{out / 'study.json'}: study: {told}") from error
 
 
 def stored_tolerance(out: Path) -> Fidelity | None:

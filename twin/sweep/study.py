@@ -111,7 +111,7 @@ class Study(Strict):
             try:
                 super().__init__(**fields)
             except ValidationError as error:
-                raise InputError(describe(error, Study)) from error
+                raise InputError(describe(error, Study, fields)) from error
 
     @model_validator(mode="before")
     @classmethod
@@ -260,7 +260,7 @@ def load_study(path: str | Path) -> Study:
     try:
         study = Study.model_validate({**content, "folder": path.resolve().parent})
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error, Study)}") from error
+        raise InputError(f"{path}: {describe(error, Study, content)}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     if study.model == "rendered":

@@ -14,7 +14,8 @@ from twin.system.optics import Filter, Optics
 from twin.toml import Entry, bundled, load_entry
 
 PARTS = catalog_folder() / "parts"
-_SECTIONS = ("emitter", "filter", "optics", "detector", "readout", "sky", "weather")
+#: Of a system that a part may be of.
+SECTIONS = ("emitter", "filter", "optics", "detector", "readout", "sky", "weather")
 
 
 class Part(Entry):
@@ -38,7 +39,7 @@ class Part(Entry):
     @model_validator(mode="after")
     def _is_one_thing(self) -> "Part":
         if len(self._sections()) != 1:
-            raise InputError(f"needs exactly one section of {', '.join(_SECTIONS)}")
+            raise InputError(f"needs exactly one section of {', '.join(SECTIONS)}")
         return self
 
     @property
@@ -47,7 +48,7 @@ class Part(Entry):
         return self._sections()[0]
 
     def _sections(self) -> list[str]:
-        return [name for name in _SECTIONS if getattr(self, name) is not None]
+        return [name for name in SECTIONS if getattr(self, name) is not None]
 
 
 def load_part(name: "str | Path | Part") -> Part:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -18,7 +18,7 @@ from twin.system.emitter import Emitter
 from twin.system.environment import Sky, Weather
 from twin.system.optics import Filter, Optics
 from twin.system.own_patterns import read_own_patterns
-from twin.system.part import PARTS, Part, load_part
+from twin.system.part import PARTS, SECTIONS, Part, load_part
 from twin.toml import Entry, bundled, load_entry
 
 
@@ -30,6 +30,8 @@ class System(Entry):
     >>> fast.optics.f_number.value, fast.name
     (0.8, 'workable (changed)')
     """
+
+    with_parts: ClassVar[tuple[str, ...]] = SECTIONS
 
     emitter: Emitter
     """The pattern projector."""

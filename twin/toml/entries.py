@@ -1,8 +1,8 @@
 """Catalogue entries: sections of sourced values under a name, and how they are changed."""
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Self, get_args
+from typing import Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel
 
@@ -12,10 +12,16 @@ from twin.toml.faults import no_such_field
 from twin.toml.sections import Name, Sourced, Strict, fields_set, label
 
 _CHANGED = " (changed)"
+_BUT_FOR = ", but for "
 
 
 class Entry(Strict):
-    """A catalogue entry: a name, and sections of sourced values."""
+    """A catalogue entry: a name, and sections of sourced values.
+
+    ``with_parts``: sections that may name a part.
+    """
+
+    with_parts: ClassVar[tuple[str, ...]] = ()
 
     name: Name
     """As results name it. Default: that of a file with a base."""
@@ -56,11 +62,14 @@ class Entry(Strict):
             of the section given beside it stand over the part's. ``SECTION``: the section itself,
             or None for an optional one. ``name``, ``description``.
 
-        Without ``name``, the name says that something was changed. A field drops its alternatives,
-        as in a file. Raises InputError naming field, value and what was expected.
+        Without ``name``, the name says that something was changed; without ``description``, that
+        says what, as of a file with a base. A field drops its alternatives, as in a file. Raises
+        InputError naming field, value and what was expected.
         """
         check_changes(changes)
         content = fields_set(self) | {"name": changed_name(self.name)}
+        if changed := [name for name in changes if name not in ("name", "description")]:
+            content["description"] = self._description_with(changed)
         given: dict[str, dict[str, Any]] = {}
         for name, value in changes.items():
             section, _, field = name.partition(".")
@@ -76,6 +85,13 @@ class Entry(Strict):
             known = fields_set(below) if isinstance(below, BaseModel) else dict(below or {})
             content[section] = without_rivals(type(self), section, known, fields) | fields
         return self._validated(content)
+
+    def _description_with(self, changed: Sequence[str]) -> str:
+        """Of what differs in some fields more."""
+        base, but_for, known = self.description.rpartition(_BUT_FOR)
+        if not (but_for and self.name.endswith(_CHANGED)):
+            return described_by(self.name, changed)
+        return base + but_for + ", ".join(dict.fromkeys([*known.split(", "), *changed]))
 
     def _section_of(self, section: str, part: Any) -> Any:
         raise InputError(f"{section}.part = {part!r}: a {type(self).__name__} has no parts")
@@ -103,6 +119,11 @@ def check_changes(changes: Any) -> None:
     """Raise InputError for what is no mapping from dotted names."""
     if not isinstance(changes, Mapping) or not all(isinstance(name, str) for name in changes):
         raise InputError(f"changes = {changes!r:.60}: expected values by their dotted names")
+
+
+def described_by(base: str, changed: Iterable[str]) -> str:
+    """Description, in place of its own, of what differs from a base in some fields."""
+    return f"as {base}{_BUT_FOR}{', '.join(changed)}"
 
 
 def changed_name(name: str) -> str:

@@ -1,7 +1,8 @@
 """What is wrong with a file or a change, in one line."""
 
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, get_args
 
 from pydantic import BaseModel, RootModel, ValidationError
@@ -20,6 +21,8 @@ _EXPECTED = {
     "string_type": "text",
 }
 
+_NONE: Mapping[str, Sequence[str]] = MappingProxyType({})
+
 
 def no_such_field(name: str, known: Iterable[str]) -> str:
     """That there is no such field, and which is the nearest."""
@@ -27,15 +30,25 @@ def no_such_field(name: str, known: Iterable[str]) -> str:
     return "no such field" + (f"; did you mean {near[0]}?" if near else "")
 
 
-def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """All faults of a validation by ``model`` on one line, each with its field and value; what is
-    wrong before what is missing.
+def describe(
+    error: ValidationError,
+    model: type[BaseModel],
+    content: Any,
+    file_keys: Mapping[str, Sequence[str]] = _NONE,
+) -> str:
+    """All faults of a validation of ``content`` by ``model`` on one line, each with its field and
+    the value as it was given; what is wrong before what is missing.
+
+    ``file_keys``: by the name of a section, "" for none, keys that a file may have there beside the
+    model's fields.
     """
     faults = sorted(error.errors(), key=lambda fault: fault["type"] == "missing")
-    return "; ".join(_fault(fault, model) for fault in faults)
+    return "; ".join(_fault(fault, model, content, file_keys) for fault in faults)
 
 
-def _fault(fault: Any, model: type[BaseModel]) -> str:
+def _fault(
+    fault: Any, model: type[BaseModel], content: Any, file_keys: Mapping[str, Sequence[str]]
+) -> str:
     kind, place = fault["type"], fault["loc"]
     message = fault["msg"].removeprefix("Value error, ")
     field = ".".join(str(part) for part in place)
@@ -44,18 +57,29 @@ def _fault(fault: Any, model: type[BaseModel]) -> str:
     if kind == "missing":
         return f"{field}: missing"
     if kind == "extra_forbidden":
-        known = sorted(_fields_at(model, place[:-1]))
+        section = ".".join(str(part) for part in place[:-1])
+        known = sorted(_fields_at(model, place[:-1]).union(file_keys.get(section, ())))
         message = no_such_field(str(place[-1]), known)
         if "did you mean" not in message and known:
             message += f", expected {', '.join(known)}"
     if kind in _EXPECTED:
         limits = {name: _limit(value) for name, value in fault.get("ctx", {}).items()}
         message = "expected " + _EXPECTED[kind].format(**limits)
-    value = fault["input"]
+    value = _written(content, place, fault["input"])
     if kind == "value_error" and isinstance(value, dict) and "value" in value:
         value = value["value"]  # of a value with its source
     shown = "" if isinstance(value, dict | BaseModel) else f" = {value!r:.60}"
     return f"{field}{shown}: {message}"
+
+
+def _written(content: Any, place: Sequence[str | int], read: Any) -> Any:
+    """Text with a unit that stands at a place, or what was read there."""
+    for part in place:
+        if isinstance(content, Mapping):
+            content = content.get(part)
+        elif isinstance(content, list | tuple) and isinstance(part, int) and part < len(content):
+            content = content[part]
+    return content if isinstance(content, str) and isinstance(read, float) else read
 
 
 def _limit(value: Any) -> str:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from hardware.files import read_toml as read_checked
 from hardware.own_functions import is_file_function
 from twin.files import InputError
-from twin.toml.entries import Entry, without_rivals
+from twin.toml.entries import Entry, described_by, without_rivals
 from twin.toml.faults import describe
 from twin.toml.sections import Strict
 
@@ -44,11 +44,17 @@ def load_entry(
             content = {k: _with_part(k, v, path, parts, model) for k, v in content.items()}
         entry = model.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path}: {describe(error, model)}") from error
+        told = describe(error, model, content, _file_keys(model))
+        raise InputError(f"{path}: {told}") from error
     for field, value in entry.values():
         if is_data_file(field) and not Path(value.value).is_file():
             raise InputError(f"{path}: {field} = {value.value!r}: expected a file, there is none")
     return entry
+
+
+def _file_keys(model: type[Entry]) -> dict[str, tuple[str, ...]]:
+    """Keys of files alone, by section."""
+    return {"": ("base",), **dict.fromkeys(model.with_parts, ("part",))}
 
 
 def bundled(folder: Path) -> list[str]:
@@ -89,7 +95,7 @@ def _with_base(
         if isinstance(value, dict) and isinstance(below.get(section), dict):
             below[section] = without_rivals(model, section, below[section], value)
     if changed := _changed(content):
-        content.setdefault("description", f"as {found.stem}, but for {', '.join(changed)}")
+        content.setdefault("description", described_by(found.stem, changed))
     return _merged(below, content)
 
 

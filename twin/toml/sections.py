@@ -137,7 +137,7 @@ class Strict(BaseModel):
         try:
             return type(self).model_validate(content)
         except ValidationError as error:
-            raise InputError(f"{label(self)}: {describe(error, type(self))}") from error
+            raise InputError(f"{label(self)}: {describe(error, type(self), content)}") from error
 
 
 def label(entry: BaseModel) -> str:
