@@ -28,8 +28,10 @@ class RangeDopplerMap:
     ``power_w`` (n_ranges, n_rates): a single target at a cell's centre has the power that one
     antenna received from it, mean over ``n_channels``. ``delay_s`` and ``range_m`` (n_ranges,)
     ascend from 0; ``delay_rate``, in s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive
-    when the target recedes. ``noise_w``: mean noise power of a cell. ``oversampling``: cells per
-    resolution cell along each axis.
+    when the target recedes. ``noise_w``: mean noise power of a cell, by the map's median: too
+    high, and SNRs too low, where echoes fill much of the map (1.6 dB with clutter at two fifths of
+    all delays in 4 slots, 0.2 dB in 64). ``oversampling``: cells per resolution cell along each
+    axis.
 
     ``effective_looks``: number of independent channels with the same variance of the noise. Where
     it is less than ``n_channels``, the channels were whitened, see `whiten`: ``power_w`` of an
