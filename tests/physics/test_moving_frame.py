@@ -486,6 +486,29 @@ def test_light_that_does_not_change_is_not_rendered_again(
     assert ball_alone < 0.5 * rig_too
 
 
+def test_the_suns_light_has_no_more_paths_than_it_needs(
+    system: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A weak sun: its first paths, 8 of a part, are far more than its shot noise asks for."""
+    from twin.camera import moving_frame
+
+    drawn: list[float] = []
+    follow = moving_frame.light_over_time
+
+    def spied(*args: object) -> object:
+        found = follow(*args)  # type: ignore[arg-type]
+        drawn.append(found.paths / found.looks)
+        return found
+
+    monkeypatch.setattr(moving_frame, "light_over_time", spied)
+    shade = going(plate("shade", (-3.0, 0.0), (-3, 3), 4.0), 0.0, 40.0, 0.0)
+    scene = replace(world(plate("wall", (-9, 9), (-9, 9), 6.0), shade), sun=Sun(180.0, 20.0, 1e5))
+    exposed(scene, system, DEFAULT)
+    emitter, sun = drawn
+    assert emitter >= 16
+    assert sun == 8
+
+
 IDENTITY = RigidTransform.identity()
 
 

@@ -61,6 +61,8 @@ class Part:
     path_weight, motion_weight
         Of the squared errors that finitely many paths, and interpolation in time, may leave in all
         parts together, that of this part, over those of the others.
+    first
+        Paths of a set of a cell to begin with, where their number follows from a tolerance.
     """
 
     trace: Callable[[Tracer, Rays], Any]
@@ -69,6 +71,7 @@ class Part:
     step: int = 1
     path_weight: float = 1.0
     motion_weight: float = 1.0
+    first: int = _FIRST
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,9 +213,10 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
     wanted[1:] |= changes
     wanted[0] |= ~wanted.any(axis=0)
     nothing = np.zeros((_SETS, *wanted.shape))
-    sets, variance = drawing.render(times, wanted, nothing, effort, None)
-    sets, variance = np.array([_spread(x, wanted) for x in sets]), _spread(variance, wanted)
-    rows, at = [(sets[:, i], variance[i]) for i in range(len(times))], [float(t) for t in times]
+    sets, variance, samples = drawing.render(times, wanted, nothing, effort)
+    first = np.array([_spread(x, wanted) for x in (*sets, variance)])
+    samples, at = _spread(samples, wanted), [float(t) for t in times]
+    rows = [(first[:-1, i], first[-1, i], samples[i]) for i in range(len(times))]
     opened = [_Interval(i, i + 1, cells, 1.0) for i, cells in enumerate(changes) if cells.any()]
     worst = 0.0
     while opened:
@@ -226,14 +230,15 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
         cells = np.array([x.cells for x in fine])
         said = np.stack([(a[0] + b[0]) / 2 for a, b in ends], axis=1)
         around = np.array([(a[1] + b[1]) / 2 for a, b in ends])
-        sets, variance = drawing.render(middles, cells, said, effort, around)
+        at_ends = np.array([np.maximum(a[2], b[2]) for a, b in ends])
+        sets, variance, samples = drawing.render(middles, cells, said, effort, around, at_ends)
         grown, further = effort.grown(sets.mean(axis=0)), sets - said
         halves: list[_Interval] = []
         for i, interval in enumerate(fine):
             # Errors of several times within an exposure are averaged.
             length = at[interval.last] - at[interval.first]
             scale = min(length / effort.exposure_s, 1.0) / 4 / grown[i]
-            rows.append((sets[:, i], variance[i]))
+            rows.append((sets[:, i], variance[i], samples[i]))
             at.append(float(middles[i]))
             one, other = further[:, i] @ np.sqrt(weight)
             # Of light that errs by chance the product scatters by as much as is subtracted.
@@ -256,7 +261,7 @@ def _over_time(drawing: "_Drawing", times: Array, changes: Flags, effort: Effort
     order = np.argsort(at)
     limit = effort.motion_limit if isinstance(effort.limit, int) else effort.limit
     share = 1 / np.maximum(limit, 1e-150) ** 2 / n_cells
-    sets, variance = (np.array(x) for x in zip(*rows, strict=True))
+    sets, variance, _ = (np.array(x) for x in zip(*rows, strict=True))
     path_error = float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
     return LightOverTime(
         np.array(at)[order],
@@ -318,7 +323,7 @@ def _with_overlooked(
     return [replace(x, cells=x.cells | more) for x, more in zip(halves, passed, strict=True)]
 
 
-def _spread(values: Array, known: Flags) -> Array:
+def _spread(values: NDArray[Any], known: Flags) -> NDArray[Any]:
     """Values of each cell at all instants from those that are known: where nothing changed in
     between they are the same, so the last known one holds, or the first one before it.
     """
@@ -347,19 +352,29 @@ class _Drawing:
         return np.maximum(off, 0)
 
     def render(
-        self, times: Array, wanted: Flags, said: Array, effort: Effort, around: Array | None
-    ) -> tuple[Array, Array]:
-        """Light by set of paths, (sets, n, n_cells), and the variance of their mean, (n, n_cells),
-        where ``wanted``; elsewhere ``said`` and ``around``, which is also what the variance may be
-        in all wanted cells together.
+        self,
+        times: Array,
+        wanted: Flags,
+        said: Array,
+        effort: Effort,
+        around: Array | None = None,
+        at_ends: NDArray[np.int32] | None = None,
+    ) -> tuple[Array, Array, NDArray[np.int32]]:
+        """Light by set of paths, (sets, n, n_cells), the variance of their mean, (n, n_cells), and
+        the number of paths of a set, where ``wanted``; elsewhere ``said``, ``around``, which is
+        also what the variance may be in all wanted cells together, and ``at_ends``. Smooth light
+        has as many paths as that at least, the same ones as both ends, so that a middle differs
+        from their mean by what moved and not by what paths err by.
         """
         tracer, limit = self._tracer_at(times), effort.limit
         instant, cells = np.nonzero(wanted)
         self.looks += len(cells)
         light = said.copy()
         variance = np.zeros(wanted.shape) if around is None else around.copy()
-        first = _FIRST if isinstance(limit, np.ndarray) else max(limit // _SETS, 1)
+        first = self._part.first if isinstance(limit, np.ndarray) else max(limit // _SETS, 1)
         samples = np.full(len(cells), first)
+        if self._part.is_smooth and at_ends is not None:
+            samples = np.maximum(at_ends[instant, cells].astype(np.int64), first)
         sums = self._draw(tracer, cells, instant, np.zeros_like(samples), samples)
         for up in (False, True, None):
             light[:, instant, cells] = (sums / samples[:, None]).T
@@ -371,6 +386,10 @@ class _Drawing:
             allowed = wanted.mean(axis=1) * effort.grown(mean)
             if around is not None:
                 allowed = np.maximum(allowed, (wanted * weight * around).sum(axis=1))
+                if self._part.is_smooth:
+                    # What the other cells leave of what is permitted in all.
+                    others = (~wanted * weight * around).sum(axis=1)
+                    allowed = np.maximum(allowed, effort.grown(mean) - others)
             further = self._wanted(found * weight[cells], instant, samples, allowed, up)
             more = np.flatnonzero(further > samples)
             if not len(more):
@@ -380,7 +399,9 @@ class _Drawing:
             )
             samples[more] = further[more]
         variance[instant, cells] = found
-        return light, variance
+        paths = np.zeros(wanted.shape, dtype=np.int32) if at_ends is None else at_ends.copy()
+        paths[instant, cells] = samples
+        return light, variance, paths
 
     def _draw(
         self, tracer: Tracer, cells: Ints, instant: Ints, before: Ints, further: Ints
@@ -442,6 +463,6 @@ class _Drawing:
         steps = np.log2(np.maximum(scale[instant] * root / samples, 1))
         steps = np.ceil(steps - 0.25) if up else np.rint(steps)
         wanted = np.minimum(samples * 2 ** steps.astype(np.int64), _MOST)
-        while wanted.sum() * _SETS > _MOST_TOGETHER and wanted.max() > _FIRST:
+        while wanted.sum() * _SETS > _MOST_TOGETHER and wanted.max() > self._part.first:
             wanted = np.minimum(wanted, wanted.max() // 2)
         return np.asarray(np.maximum(samples, wanted))

@@ -5,6 +5,7 @@ taken there: nothing is built anew, and rays of many instants share one kernel.
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +48,7 @@ class MovingBody:
 
 class MovingScene:
     """Stands for a Mitsuba scene wherever rays are traced. A ray's ``time`` is the number of its
-    instant, unless ``instant`` is given: then all rays are of that one.
+    instant, unless it is the scene `at` one: then all rays are of that one.
 
     Bodies that touch each other are a group. Rays that miss the sphere around a group pass it by,
     and where all rays of a packet do, the group costs nothing.
@@ -55,8 +56,9 @@ class MovingScene:
     Not a dataclass: Dr.Jit would traverse its fields at every loop.
     """
 
-    def __init__(self, bodies: Sequence[MovingBody], instant: int | None = None) -> None:
-        self._bodies, self._instant = tuple(bodies), instant
+    def __init__(self, bodies: Sequence[MovingBody]) -> None:
+        self._bodies = tuple(bodies)
+        self._instant: int | None = None
         self._placed = [_Placed(body, number) for number, body in enumerate(bodies)]
         self._n = len(bodies[0].shifts_m) if bodies else 1
         self._groups = [
@@ -68,12 +70,15 @@ class MovingScene:
         rotations = np.concatenate([body.rotations for body in bodies]) if bodies else _NOWHERE
         shifts = np.concatenate([body.shifts_m for body in bodies]) if bodies else _NOWHERE[0]
         self._turns = not (rotations == np.eye(3)).all()
-        self._rotations = [_table(x) for x in rotations.reshape(-1, 9).T if self._turns]
-        self._shifts = [_table(column) for column in shifts.reshape(-1, 3).T]
+        # Beside each other, a row of a rotation and its part of the shift: one gather.
+        self._rows = _table(np.concatenate([rotations, shifts[..., None]], axis=-1).ravel())
+        self._shifts = _table(np.pad(shifts, ((0, 0), (0, 1))).ravel())
 
     def at(self, instant: int) -> "MovingScene":
         """The same at one instant."""
-        return MovingScene(self._bodies, instant)
+        one = copy(self)
+        one._instant = instant
+        return one
 
     def body_met(self, ray: Any) -> tuple[Any, Any]:
         """Distance to the first surface along rays, infinite for none, and its body's number."""
@@ -137,11 +142,12 @@ class MovingScene:
         """Of bodies at instants."""
         mi = mitsuba()
         at = instant + mi.UInt32(body) * dr.opaque(mi.UInt32, self._n)
-        shift = mi.Vector3f(*(dr.gather(mi.Float, x, at) for x in self._shifts))
         if not self._turns:
-            return _Pose(None, shift)
-        parts = [dr.gather(mi.Float, x, at) for x in self._rotations]
-        return _Pose([mi.Vector3f(*parts[3 * i : 3 * i + 3]) for i in range(3)], shift)
+            x, y, z, _ = dr.gather(mi.Vector4f, self._shifts, at)
+            return _Pose(None, mi.Vector3f(x, y, z))
+        rows = [dr.gather(mi.Vector4f, self._rows, 3 * at + i) for i in range(3)]
+        shift = mi.Vector3f(*(row.w for row in rows))
+        return _Pose([mi.Vector3f(row.x, row.y, row.z) for row in rows], shift)
 
     def _number(self, ray: Any) -> Any:
         mi = mitsuba()
