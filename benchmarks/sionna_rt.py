@@ -235,7 +235,8 @@ def _edge() -> Iterator[Figure]:
         def ours(prepared: PreparedScene = prepared, obstacles: Any = obstacles) -> PointPaths:
             mitsuba()  # or the other engine's kind of numbers
             at = end - prepared.anchor_m
-            return all_paths_to_points(prepared.context, obstacles, 0, at, np.zeros((1, 3)))[0]
+            off = np.zeros((1, 3))
+            return all_paths_to_points(prepared.context, obstacles, 0, at, off).paths
 
         lengths, amplitudes = theirs()
         level = np.sum(amplitudes * np.exp(-1j * _K * (lengths - 10)))

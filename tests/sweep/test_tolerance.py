@@ -241,7 +241,7 @@ def test_the_command_takes_a_tolerance_or_a_time(
     assert "expected one of them" in sweep("--tolerance", "0.1", "--within", "1 s")
     timed = ["--out", str(tmp_path / "timed"), "--within", "100 ms"]
     assert "within 100 ms: camera: 0.5 of the noise" in sweep(*timed)
-    assert "2 points, 1 render:" in sweep(*timed)
+    assert "2 points, from 1 render of light:" in sweep(*timed)
     assert next(measured) == 1.0  # not measured again
     stated = ["--out", str(tmp_path / "stated"), "--tolerance", "0.5"]
     assert "2 points" in sweep(*stated)

@@ -100,11 +100,11 @@ def point_echoes(
     velocity = np.array([m.velocity_m_per_s for m in motions]).reshape(-1, 3)
     acceleration = np.array([m.acceleration_m_per_s2 for m in motions]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
-    paths = [
+    found = [
         all_paths_to_points(context, obstacles, i, places, np.zeros_like(places))
         for i in range(context.n_sources)
     ]
-    paths = [(path, at) for path, at in paths if len(at)]  # most images see none of them
+    paths = [(path, at) for path, at, _ in found if len(at)]  # most images see none of them
     contributions: list[Contributions] = []
     two_way: list[TwoWayPath] = []
     for forward_path, forward_points in paths:

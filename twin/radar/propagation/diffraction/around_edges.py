@@ -15,6 +15,7 @@ surfaces.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +105,16 @@ def screens(
     )
 
 
+class AllPaths(NamedTuple):
+    """Paths to points, the number of the point that each leads to, (n,), and those that are
+    diffracted, which are the last ones, as the segment sees them on which they are.
+    """
+
+    paths: PointPaths
+    point: Indices
+    diffracted: DiffractedPaths | None
+
+
 def all_paths_to_points(
     context: TracingContext,
     obstacles: Screens | None,
@@ -111,9 +122,8 @@ def all_paths_to_points(
     places: Array,
     off: Array,
     own: Indices | None = None,
-) -> tuple[PointPaths, Indices]:
-    """Every path from an image to points (n, 3), direct ones and those over edges of obstacles, and
-    the number of the point that each leads to.
+) -> AllPaths:
+    """Every path from an image to points (n, 3), direct ones and those over edges of obstacles.
 
     Rays start at a distance ``off`` (n, 3) from the points; ``own`` (n,) is the number of the body
     that each belongs to, whose outline is none of its obstacles, or -1.
@@ -121,11 +131,11 @@ def all_paths_to_points(
     direct = paths_to_points(context, source, places, off)
     if obstacles is None:
         seen = np.flatnonzero(direct.clear)
-        return direct.take(seen), seen
+        return AllPaths(direct.take(seen), seen, None)
     unobstructed = paths_to_points(context, source, places, off, unshadowed=True)
     alone = np.full(len(places), -1) if own is None else own
     image = obstacles.prepared.images[source]
-    clear, diffracted, numbers = direct.clear.copy(), [], []
+    clear, point_paths, diffracted = direct.clear.copy(), [], []
     for level in range(len(image.patches) + 1):
         segment = Segment(obstacles, image, level, places, off)
         open_paths = list(segment.paths(unobstructed.clear, alone))
@@ -134,13 +144,15 @@ def all_paths_to_points(
             _clear_near_edges(clear, paths)
             paths = merged(paths, obstacles.wavenumber)
             paths = paths.take(np.abs(paths.amplitude) >= obstacles.faintest)
-            diffracted.append(
+            point_paths.append(
                 _point_paths(obstacles, unobstructed.take(paths.point), paths, segment)
             )
-            numbers.append(paths.point)
+            diffracted.append(paths)
     at = np.flatnonzero(clear)
-    return PointPaths.concatenate([unobstructed.take(at), *diffracted]), np.concatenate(
-        [at, *numbers]
+    return AllPaths(
+        PointPaths.concatenate([unobstructed.take(at), *point_paths]),
+        np.concatenate([at, *(paths.point for paths in diffracted)]),
+        DiffractedPaths.concatenate(diffracted) if diffracted else None,
     )
 
 

@@ -5,14 +5,14 @@ Echoes whose forward and return paths are both direct are found elsewhere
 the field over the straight wave, direct and over the edges of obstacles, and D = 1 in the light and
 0 in the shadow, the share T^2 - D^2 of every facet's echo.
 
-A body is divided into cells, across which waves over edges have a constant amplitude and a phase
-that is linear beside the straight wave's (`cell_echoes`). Which cells count, an estimate decides
-that needs no rays (`shadow_bounds`): the echo of all facets of a cell without obstacles, times what
-the edges near it may change. What is left out is told of every body, the root of the sum of squares
-of: edges so far from the straight path that their waves are below the faintest that are followed,
-which may meet facets at right angles (`unfollowed_waves`, times a factor for what it leaves out);
-the estimates of other cells, which are 4 times too large on the yard's car; and what cells of their
-size are off by. Paths over mirrors are not followed round obstacles.
+A body is divided into cells, across which waves over edges take the same ways (`cell_echoes`).
+Which cells count, an estimate decides that needs no rays (`shadow_bounds`): the echo of all facets
+of a cell without obstacles, times what the edges near it may change. What is left out is told of
+every body, the root of the sum of squares of: edges so far from the straight path that their waves
+are below the faintest that are followed, which may meet facets at right angles (`unfollowed_waves`,
+times a factor for what it leaves out); the estimates of other cells, which are 4 times too large on
+the yard's car; and what cells of their size are off by. Paths over mirrors are not followed round
+obstacles.
 """
 
 from collections.abc import Callable
@@ -35,15 +35,18 @@ Indices = NDArray[np.int64]
 
 _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: On waves that are not followed, and error of cells that are computed, of what these change, root
-#: of the sum of squares. With both 96 % of 58 bodies in 16 random scenes are within what is stated.
-_UNFOLLOWED, _OF_CELLS = 2.0, 0.225
+#: of the sum of squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
+_UNFOLLOWED, _OF_CELLS = 2.0, 0.16
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
 _FINEST_M = 0.01  # cells
 #: Change of the root of the phase q across a cell, near a shadow's border and away from it, at a
 #: tolerance of 0.1.
 _NEAR_BORDER, _AWAY = 0.4, 1.0
 _BORDER = 1.0  # root of q that is near, at that tolerance
-_OF_A_CELL = 3  # facets next to each other in one that a border may divide
+#: Facets at most, over their cell; and where a border, or several of them, may divide them.
+_OF_A_CELL, _OF_A_BORDER = 0.5, 0.33
+#: Difference of lengths there and back across a facet: 0.6 rad at the ends of a band of 4 GHz.
+_MOST_M = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +154,9 @@ def _contributions(
         changed = np.linalg.norm(one.change[is_taken])
         of_cells[one.body] = _OF_CELLS * accepted.fineness * changed
         if is_taken.any():
-            some = _cut_at_borders(one.facets.of_cells(is_taken), one.cells.take(is_taken))
-            parts.append(cell_echoes(obstacles, some, one.body, surface_of_object))
+            facets, cells = one.facets.of_cells(is_taken), one.cells.take(is_taken)
+            facets = _in_small_parts(obstacles, facets, cells, accepted.fineness)
+            parts.append(cell_echoes(obstacles, facets, one.body, surface_of_object))
     return Contributions.concatenate(parts), of_cells
 
 
@@ -169,13 +173,17 @@ def _taken(change: Array, limit: float, most: int) -> NDArray[np.bool_]:
 
 
 def _in_finer_cells(facets: Facets, cells: Cells, part: float, fineness: float) -> Facets:
-    """In cells as small as edges near them ask for: a ``part`` of what changes the root of q by 1;
-    away from shadows' borders `_AWAY` is enough.
+    """In cells as small as edges near them ask for."""
+    size = np.minimum(_sizes(cells, part, fineness), _COARSE_M)
+    return in_voxels(facets.divided(size[facets.cell]), size)
+
+
+def _sizes(cells: Cells, part: float, fineness: float) -> Array:
+    """Of cells, (n_cells,), across which the root of q changes by a ``part`` near shadows' borders
+    and by `_AWAY` elsewhere.
     """
     share = np.where(cells.nearest < _BORDER / fineness, part, _AWAY)
-    size = fineness * share / np.maximum(cells.steepest, 1e-9)
-    size = np.clip(size, _FINEST_M, _COARSE_M)
-    return in_voxels(facets.divided(size[facets.cell]), size)
+    return np.maximum(fineness * share / np.maximum(cells.steepest, 1e-9), _FINEST_M)
 
 
 def _seen(obstacles: Screens, facets: Facets, body: int) -> tuple[Facets, NDArray[np.bool_]]:
@@ -194,10 +202,17 @@ def _seen(obstacles: Screens, facets: Facets, body: int) -> tuple[Facets, NDArra
     return facets, is_lit
 
 
-def _cut_at_borders(facets: Facets, cells: Cells) -> Facets:
-    """Facets so finely divided that borders within cells are followed."""
-    size = np.clip(_NEAR_BORDER / _OF_A_CELL / np.maximum(cells.steepest, 1e-9), _FINEST_M, None)
-    return facets.divided(np.where(cells.nearest == 0, size, np.inf)[facets.cell])
+def _in_small_parts(obstacles: Screens, facets: Facets, cells: Cells, fineness: float) -> Facets:
+    """Facets across each of which waves are the same but for a linear phase, all over the band, cut
+    along the border of the nearest edge's shadow where it is within their cell.
+    """
+    source = obstacles.prepared.images[0].place
+    normal = np.where(cells.nearest[:, None] == 0, cells.across, 0.0)
+    part = np.where(cells.nearest == 0, _OF_A_BORDER, _OF_A_CELL)
+    size = part * np.minimum(_sizes(cells, _NEAR_BORDER, fineness), _COARSE_M)
+    facets = facets.cut(source, normal[facets.cell])
+    steep = facets.steepness(source)
+    return facets.divided(np.minimum(size[facets.cell], _MOST_M / np.maximum(2 * steep, 1e-9)))
 
 
 def _strength(obstacles: Screens, facets: Facets, gain: Callable[[Array], Array]) -> Array:

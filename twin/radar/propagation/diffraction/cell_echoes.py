@@ -1,9 +1,9 @@
 """Echoes of cells of a body by waves over edges, there, back, or both.
 
 To one place in each cell paths are sought. The facets of a cell answer as they do to the straight
-wave, by the currents of physical optics, times the share of the waves there and back, and with the
-path lengths that these have there: that of the straight wave, and what the wave over an edge is
-longer by, which grows with the distance from the cell's place along the angle between both.
+wave, by the currents of physical optics, times the share of the waves there and back, which have at
+every facet their own length, direction and knife-edge factor (`bends`): from cell to cell waves
+over one edge go on without a step, which would echo by itself.
 """
 
 from dataclasses import dataclass, replace
@@ -16,6 +16,7 @@ from twin.radar.propagation.diffraction.around_edges import (
     all_paths_to_points,
     first_hit,
 )
+from twin.radar.propagation.diffraction.bends import Bends
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.one_way.path import offset_m
@@ -29,19 +30,21 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_BIN_M = 7.5e-3  # of path lengths in one contribution: 0.16 rad at the ends of a band of 4 GHz
+_BIN_M = 7.5e-3  # between lengths of contributions: 0.3 rad at the ends of a band of 4 GHz
+_STEP = 20.0  # rad/m: half of what the wavenumber changes by to the ends of that band
 _AT_ONCE = 2**18  # facets and pairs of paths: 100 MB
 
 
 @dataclass(frozen=True, eq=False)
 class _Ways:
     """Pairs of a forward and a return path to cells, (n,): ``cell``, ``forward`` and ``back`` path,
-    and the ``share`` of both waves over the straight one.
+    where both bend, and the ``share`` of both waves over the straight one.
     """
 
     cell: Indices
     forward: PointPaths
     back: PointPaths
+    bends: tuple[Bends, Bends]
     share: Complex
 
 
@@ -62,7 +65,9 @@ def cell_echoes(
     place, off = facets.middle[row], (offset_m(facets.middle) * normal)[row]
     straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
     ways, cell_is_lit = _ways(obstacles, place, off, straight, body)
-    alone = _Ways(np.arange(len(place)), straight, straight, np.ones(len(place), dtype=complex))
+    none = Bends.none(obstacles.prepared.images[0].place, place, obstacles.wavenumber)
+    ones = np.ones(len(place), dtype=complex)
+    alone = _Ways(np.arange(len(place)), straight, straight, (none, none), ones)
     current = _radiated(obstacles, facets, straight.take(facets.cell), surface_of_object)
     # Facets beyond a border that divides their cell.
     step = cell_is_lit[facets.cell].astype(np.float64) - is_lit
@@ -88,7 +93,9 @@ def _ways(
 ) -> tuple[_Ways, NDArray[np.bool_]]:
     """Of which at least one path is over an edge; and which cells are in the light, (n_cells,)."""
     own = np.full(len(place), body)
-    paths, at = all_paths_to_points(obstacles.prepared.context, obstacles, 0, place, off, own)
+    context, source = obstacles.prepared.context, obstacles.prepared.images[0].place
+    paths, at, diffracted = all_paths_to_points(context, obstacles, 0, place, off, own)
+    bends = Bends.of(source, place[at], diffracted, obstacles.wavenumber)
     field = straight.field[at]
     power = np.sum(np.abs(field) ** 2, axis=1)
     share = np.sum(paths.field * field.conj(), axis=1) / np.where(power > 0, power, 1.0)
@@ -99,7 +106,8 @@ def _ways(
     there, back = there[is_kept], back[is_kept]
     is_lit = np.zeros(len(place), dtype=bool)
     is_lit[at[paths.over < 0]] = True
-    return _Ways(at[there], paths.take(there), paths.take(back), two_way[is_kept]), is_lit
+    both = bends.take(there), bends.take(back)
+    return _Ways(at[there], paths.take(there), paths.take(back), both, two_way[is_kept]), is_lit
 
 
 def _summed(
@@ -138,23 +146,34 @@ def _of_ways(
     prepared, k, cell = obstacles.prepared, obstacles.wavenumber, facets.cell
     middle = facets.middle
     length = np.linalg.norm(middle - prepared.images[0].place, axis=1)
-    both = ways.forward.back[way] + ways.back.back[way]
-    aside = np.sum((both - 2 * straight.back[cell]) * (middle - place[cell]), axis=1)
-    longer_m = 2 * (length - straight.length[cell]) - aside
-    amplitude = current * ways.share[way] * facets.mean(k * both)
-    # One contribution for all facets of an object at nearly one distance.
-    keys = np.column_stack([way, facets.object, np.floor(longer_m / _BIN_M).astype(np.int64)])
-    _, one, same = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    same, count = same.reshape(-1), len(one)
-    power = np.abs(amplitude) ** 2 + 1e-300
-    mean_m = np.bincount(same, power * longer_m, count) / np.bincount(same, power, count)
-    wave = amplitude * np.exp(-1j * k * (longer_m - mean_m[same]))
+    one, other = (bends.to(way, middle) for bends in ways.bends)
+    longer_m = 2 * (length - straight.length[cell]) + one.longer_m + other.longer_m
+    both = one.back + other.back
+    mean, less, more = (facets.mean((k + step) * both) for step in (0.0, -_STEP, _STEP))
+    amplitude = current * ways.share[way] * one.factor * other.factor
+    # Of lengths beside that of the middle, with their waves.
+    moment_m = amplitude * 1j * (more - less) / (2 * _STEP)
+    amplitude = amplitude * mean
+    # To two lengths each, beside the own one: right to first order all over the band, also where
+    # facets next to each other nearly cancel.
+    bin_number = np.floor(longer_m / _BIN_M).astype(np.int64)
+    share = longer_m / _BIN_M - bin_number
+    parts = [(1 - share) * amplitude - moment_m / _BIN_M, share * amplitude + moment_m / _BIN_M]
+    bins = np.concatenate([bin_number, bin_number + 1])
+    off_m = np.tile(longer_m, 2) - bins * _BIN_M
+    sizes = (int(way.max()) + 1, int(facets.object.max()) + 1, int(np.ptp(bins)) + 1)
+    keys = (np.tile(way, 2), np.tile(facets.object, 2), bins - bins.min())
+    number = np.ravel_multi_index(keys, sizes)
+    _, first, same = np.unique(number, return_index=True, return_inverse=True)
+    count = len(first)
+    wave = np.concatenate(parts) * np.exp(-1j * k * off_m)
     total = np.bincount(same, wave.real, count) + 1j * np.bincount(same, wave.imag, count)
-    forward = ways.forward.take(way[one])
-    forward = replace(forward, extra=forward.extra + mean_m)
-    objects = facets.object[one]
-    motion = prepared.motions.at(objects, middle[one])
-    return between(forward, ways.back.take(way[one]), total, motion, objects)
+    row = first % len(way)
+    forward = ways.forward.take(way[row])
+    forward = replace(forward, extra=forward.extra + bins[first] * _BIN_M)
+    objects = facets.object[row]
+    motion = prepared.motions.at(objects, middle[row])
+    return between(forward, ways.back.take(way[row]), total, motion, objects)
 
 
 def _radiated(

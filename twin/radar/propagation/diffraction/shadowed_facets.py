@@ -1,6 +1,7 @@
 """Facets of a body that faces the radar, in cells."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,14 @@ class Facets:
     def __len__(self) -> int:
         return len(self.object)
 
-    @property
+    @cached_property
     def middle(self) -> Array:
         """Centroids (n, 3)."""
-        middle: Array = self.corners.mean(axis=1)
+        a, b, c = self.corners.swapaxes(0, 1)
+        middle: Array = (a + b + c) / 3
         return middle
 
-    @property
+    @cached_property
     def across(self) -> Array:
         """Normals (n, 3) as long as the area."""
         a, b, c = self.corners.swapaxes(0, 1)
@@ -53,6 +55,14 @@ class Facets:
         side = np.sign(np.sum((place - self.middle) * across, axis=1, keepdims=True))
         normal: Array = side * across / np.linalg.norm(across, axis=1, keepdims=True)
         return normal
+
+    def steepness(self, place: Array) -> Array:
+        """Sines (n,) of the angle between the normal and the way to a place."""
+        towards = place - self.middle
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        cosine = np.sum(self.normal(place) * towards, axis=1)
+        sine: Array = np.sqrt(np.clip(1 - cosine**2, 0, 1))
+        return sine
 
     def mean(self, slope: Array) -> Complex:
         """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
@@ -87,6 +97,24 @@ class Facets:
             wide, limit = rest.take(is_wide), np.repeat(limit[is_wide], 4)
             rest = Facets(corners, np.repeat(wide.object, 4), np.repeat(wide.cell, 4))
         return Facets.concatenate([*parts, rest])
+
+    def cut(self, place: Array, normal: Array) -> "Facets":
+        """Cut at planes through a place (3,), with normals (n, 3)."""
+        height = np.einsum("nci,ni->nc", self.corners - place, normal)
+        is_cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
+        some, height = self.take(is_cut), height[is_cut]
+        above = height > 0
+        # The corner that is alone on its side comes first.
+        alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), above.argmin(axis=1))
+        order = (alone[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(some.corners, order[..., None], axis=1).swapaxes(0, 1)
+        h, at_b, at_c = np.take_along_axis(height, order, axis=1).T
+        ab, ac = (a + (h / (h - x))[:, None] * (y - a) for x, y in ((at_b, b), (at_c, c)))
+        three = np.stack([[a, ab, ac], [ab, b, c], [ab, c, ac]])
+        corners = three.transpose(0, 2, 1, 3).reshape(-1, 3, 3)
+        parts = Facets(corners, np.tile(some.object, 3), np.tile(some.cell, 3))
+        parts = parts.take(np.linalg.norm(parts.across, axis=1) > 0)
+        return Facets.concatenate([self.take(~is_cut), parts])
 
     @staticmethod
     def concatenate(parts: "list[Facets]") -> "Facets":

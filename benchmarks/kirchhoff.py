@@ -1,0 +1,180 @@
+"""Echoes of convex bodies behind black rectangular screens by brute force, to compare with.
+
+Kirchhoff's field behind a screen by the integral along its rim (Maggi and Rubinowicz: Born and
+Wolf, Principles of Optics, section 8.9), from a point at the origin, in float64; the echo by
+physical optics of a perfect conductor, that field there and back, on triangles smaller than half a
+wavelength, so that steps between them do not answer at right angles. It shares nothing with the
+solver: no rays, no knife edges, no cells.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.scene import SceneObject
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
+
+_TRIANGLE_M = 1.4e-3  # at 79 GHz less than half a wavelength
+_FINER = 14  # of triangles that a border divides, for the hard shadow
+_PIECE_M = 5e-3  # of the rim, with 4 points each
+_AT_ONCE = 200  # places
+#: Nearer to a border the rim's integrand is too sharp: the field, which is smooth across it, is
+#: interpolated between places so many times as far away.
+_NEAR_M, _BESIDE = 4e-3, np.array([-4.5, -3.0, -1.5, 1.5, 3.0, 4.5])
+
+
+@dataclass(frozen=True)
+class Echo:
+    """Of a body at one frequency, over the antennas' factor: with hard shadows, and in full."""
+
+    lit: complex
+    whole: complex
+
+
+def echo_behind(
+    body: SceneObject,
+    screens: Sequence[Array],
+    wavenumber: float,
+    gain: Callable[[Array], Array] | None = None,
+    triangle_m: float = _TRIANGLE_M,
+) -> Echo:
+    """Of a closed convex body behind screens, each of four corners (4, 3) in a plane; ``gain`` of
+    directions (n, 3), in amplitude there and back.
+    """
+    corners = _front(body)
+    parts = _divided(corners, triangle_m)
+    wave = _waves(parts, wavenumber, gain)
+    middle, is_lit, field = parts.mean(axis=1), np.ones(len(parts), dtype=bool), 1.0 + 0j
+    mixed = np.zeros(len(parts), dtype=bool)
+    for screen in screens:
+        field = field * field_behind(screen, middle, wavenumber)
+        is_hidden = hides(screen, parts.reshape(-1, 3)).reshape(-1, 3)
+        mixed |= is_hidden.any(axis=1) & ~is_hidden.all(axis=1)
+        is_lit &= ~hides(screen, middle)
+    fine = _divided(parts[mixed], triangle_m / _FINER)
+    seen = np.ones(len(fine), dtype=bool)
+    for screen in screens:
+        seen &= ~hides(screen, fine.mean(axis=1))
+    at_borders = np.sum(_waves(fine, wavenumber, gain)[seen])
+    return Echo(
+        complex(np.sum(wave[is_lit & ~mixed]) + at_borders), complex(np.sum(wave * field**2))
+    )
+
+
+def field_behind(screen: Array, places: Array, wavenumber: float) -> Complex:
+    """Over the straight wave, at places (n, 3) that are not in the screen's plane."""
+    field = _by_rim(screen, places, wavenumber)
+    across = np.cross(screen[1] - screen[0], screen[3] - screen[0])
+    met = places * ((screen[0] @ across) / (places @ across))[:, None]
+    for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
+        normal = np.cross(begin, end) / np.linalg.norm(np.cross(begin, end))
+        length = float(np.linalg.norm(end - begin))
+        off, at = places @ normal, (met - begin) @ (end - begin) / length
+        near = np.flatnonzero((np.abs(off) < _NEAR_M) & (at > -_NEAR_M) & (at < length + _NEAR_M))
+        nodes, total = _NEAR_M * _BESIDE, np.zeros(len(near), dtype=complex)
+        for number, node in enumerate(nodes):
+            others = np.delete(nodes, number)
+            weight = np.prod((off[near, None] - others) / (node - others), axis=1)
+            moved = places[near] + (node - off[near])[:, None] * normal
+            total += weight * _by_rim(screen, moved, wavenumber)
+        field[near] = total
+    return field
+
+
+def hides(screen: Array, places: Array) -> Flags:
+    """Whether a screen is in the way from the origin to places, (n,)."""
+    one, other = screen[1] - screen[0], screen[3] - screen[0]
+    across = np.cross(one, other)
+    share = (screen[0] @ across) / (places @ across)
+    met = places * share[:, None] - screen[0]
+    along, up = met @ one / (one @ one), met @ other / (other @ other)
+    inside = (along > 0) & (along < 1) & (up > 0) & (up < 1)
+    return np.asarray(inside & (share > 0) & (share < 1))
+
+
+def _by_rim(screen: Array, places: Array, wavenumber: float) -> Complex:
+    """1 less the field behind a hole of the screen's shape: that of geometrical optics and of the
+    rim.
+    """
+    at, along = _rim(screen)
+    there = np.linalg.norm(at, axis=1)
+    unit = at / there[:, None]
+    rim = np.empty(len(places), dtype=complex)
+    for first in range(0, len(places), _AT_ONCE):
+        some = places[first : first + _AT_ONCE]
+        back = at - some[:, None]
+        distance, straight = np.linalg.norm(back, axis=2), np.linalg.norm(some, axis=1)
+        back /= distance[..., None]
+        turn = np.einsum("ijk,jk->ij", np.cross(back, unit), along)
+        turn /= 1 + np.einsum("ijk,jk->ij", back, unit)
+        longer = there + distance - straight[:, None]
+        wave = np.exp(-1j * wavenumber * longer) / (there * distance) * turn
+        rim[first : first + _AT_ONCE] = wave.sum(axis=1) * straight / (4 * np.pi)
+    return np.asarray(1 - hides(screen, places) - rim)
+
+
+def _rim(screen: Array) -> tuple[Array, Array]:
+    """Points (n, 3) along it, and what each stands for, as vectors along the rim."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    places, along = [], []
+    for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
+        n = max(int(np.ceil(np.linalg.norm(end - begin) / _PIECE_M)), 2)
+        at = ((np.arange(n)[:, None] + (nodes + 1) / 2) / n).ravel()
+        places.append(begin + at[:, None] * (end - begin))
+        along.append(np.tile(weights / 2 / n, n)[:, None] * (end - begin))
+    return np.concatenate(places), np.concatenate(along)
+
+
+def _front(body: SceneObject) -> Array:
+    """Triangles (n, 3, 3) of a convex body that face the origin."""
+    corners = body.vertices_m[body.geometry.faces]
+    a, b, c = corners.swapaxes(0, 1)
+    normal, middle = np.cross(b - a, c - a), corners.mean(axis=1)
+    outward = np.sign(np.sum(normal * (middle - body.vertices_m.mean(axis=0)), axis=1))
+    return np.asarray(corners[outward * np.sum(normal * middle, axis=1) < 0])
+
+
+def _divided(corners: Array, size_m: float) -> Array:
+    """Triangles in as many equal ones as needed, (m, 3, 3)."""
+    found = [np.zeros((0, 3, 3))]
+    for a, b, c in corners:
+        longest = max(np.linalg.norm(x) for x in (b - a, c - b, a - c))
+        n = max(int(np.ceil(longest / size_m)), 1)
+        i, j = (x.ravel() for x in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        i, j = i[i + j < n], j[i + j < n]
+        one, other = (b - a) / n, (c - a) / n
+        corner = a + i[:, None] * one + j[:, None] * other
+        found.append(np.stack([corner, corner + one, corner + other], axis=1))
+        corner = corner[i + j < n - 1] + one + other
+        found.append(np.stack([corner, corner - one, corner - other], axis=1))
+    return np.concatenate(found)
+
+
+def _waves(corners: Array, wavenumber: float, gain: Callable[[Array], Array] | None) -> Complex:
+    """Echoes of triangles: exact for a linear phase across each, by Gordon's integral along its
+    longest side.
+    """
+    a, b, c = corners.swapaxes(0, 1)
+    middle = corners.mean(axis=1)
+    distance = np.linalg.norm(middle, axis=1)
+    towards = middle / np.maximum(distance, 1e-300)[:, None]
+    level = np.abs(np.sum(np.cross(b - a, c - a) / 2 * towards, axis=1)) / distance**2
+    if gain is not None:
+        level = level * gain(towards)
+    phase = -2 * wavenumber * np.einsum("nci,ni->nc", corners - middle[:, None], towards)
+    low, mid, high = np.sort(phase, axis=1).T
+    is_flat = high - low < 2e-2
+    span = np.where(is_flat, 1.0, high - low)
+    mean = 2 * (_along(mid, high) - _along(low, mid)) / (1j * span)
+    mean = np.where(is_flat, 1 - np.sum(phase**2, axis=1) / 24, mean)
+    return np.asarray(level * mean * np.exp(-2j * wavenumber * distance))
+
+
+def _along(one: Array, other: Array) -> Complex:
+    """Mean of exp(j phase) from one phase to another."""
+    return np.asarray(np.exp(0.5j * (one + other)) * np.sinc((other - one) / (2 * np.pi)))
