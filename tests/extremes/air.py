@@ -10,7 +10,7 @@ from tests.extremes import oracle
 from tests.extremes.case import Case, Found
 from tests.extremes.light import expected_electrons
 from tests.extremes.waves import CHANNEL, radar, world
-from tests.extremes.worlds import camera, light_stated, look, scene, square
+from tests.extremes.worlds import camera, light_stated, look, scene, square, validated
 from twin.radar.acquisition import channel
 from twin.radar.propagation.free_space import straight_paths
 from twin.radar.propagation.scene.atmosphere import Atmosphere
@@ -45,7 +45,7 @@ def _rain_on_radar(rate_mm_per_h: float) -> Found:
     """Echo in rain over that in the same air without: 2 R of P.838, relative to it."""
     design, scene_ = radar(), world()
     rainy, dry = (
-        Atmosphere(Weather.model_validate(_weather(rain_mm_per_h=rate)))
+        Atmosphere(validated(Weather, _weather(rain_mm_per_h=rate)))
         for rate in (rate_mm_per_h, 0.0)
     )
     paths = straight_paths(scene_, design)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found
-from tests.extremes.worlds import Triangles, asked, square
+from tests.extremes.worlds import Triangles, asked, square, validated
 from tests.extremes.worlds import scene as scene_of
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
@@ -36,7 +36,7 @@ def radar(**changes: object) -> RadarDesign:
     for name, value in changes.items():
         section, field = name.split("__")
         content[section][field] = value
-    return RadarDesign.model_validate(content)
+    return validated(RadarDesign, content)
 
 
 def world(position: Vector = _AT, velocity: Vector = (0.0, 0.0, 0.0)) -> Scene:
@@ -164,7 +164,7 @@ def _declared(speed: float) -> Found:
         "sun": {"azimuth_deg": 0.0, "elevation_deg": 0.0, "illuminance_lx": 0.0},
         "objects": {"car": {"velocity_m_per_s": (speed, 0.0, 0.0)}},
     }
-    SceneSettings.model_validate(content)
+    validated(SceneSettings, content)
     return Found(0.0, 0.0)
 
 

@@ -1,23 +1,28 @@
 """Scenes on disk and systems for the extremes: what a user would write, loaded as a user would."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 from scipy.spatial.transform import Rotation
 
 from twin.camera import Capture, capture
+from twin.errors import InputError
 from twin.fidelity import Fidelity, Tolerance
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
+from twin.toml import describe
 
 Array = NDArray[np.float64]
 Triangles = tuple[Array, NDArray[np.int64]]
+Model = TypeVar("Model", bound=BaseModel)
 
 #: An oblique attitude: nothing lines up with the axes of the world.
 YAW, PITCH, ROLL = 33.0, 17.0, 21.0
@@ -120,6 +125,14 @@ def _write_ply(path: Path, vertices: Array, faces: NDArray[np.int64], scalar: st
     path.write_bytes(head.encode() + vertices.astype(kind).tobytes() + rows.tobytes())
 
 
+def validated(model: type[Model], content: Mapping[str, Any]) -> Model:
+    """What a file of this content would be, with the faults as of a file."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise InputError(describe(error, model, content)) from error
+
+
 def camera(**changes: object) -> System:
     """`workable` with 16 x 16 cells and a filter that does not shift with angle, so that closed
     forms hold; changed by ``section__field``.
@@ -131,7 +144,7 @@ def camera(**changes: object) -> System:
     for name, value in {**base, **changes}.items():
         section, field = name.split("__")
         content[section][field] = value
-    return System.model_validate(content)
+    return validated(System, content)
 
 
 def look(world: Scene, system: System, fidelity: Fidelity = DIRECT, seed: int = 1) -> Capture:
