@@ -110,10 +110,10 @@ def test_the_walks_give_what_the_tour_says() -> None:
         exec(block, names)
     told = {
         "mean_e": 10_702_171,
-        "count": 15_006,
-        "electrons": 10_708_869,
-        "value": -422_862,
-        "cell_e": 7873,
+        "count": 15_010,
+        "electrons": 10_711_990,
+        "value": -425_983,
+        "cell_e": 7710,
         "truth_e": 7740,
         "delay_s": 37.602e-9,
     }
