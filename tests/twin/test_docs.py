@@ -109,16 +109,16 @@ def test_the_walks_give_what_the_tour_says() -> None:
     for block in re.findall(r"```python\n(.*?)```", TOUR, re.DOTALL):
         exec(block, names)
     told = {
-        "mean_e": 10_702_171,
-        "count": 15_010,
-        "electrons": 10_711_990,
-        "value": -425_983,
-        "cell_e": 7710,
-        "truth_e": 7740,
-        "delay_s": 37.602e-9,
+        "mean_e": (10_702_171, 20_000),
+        "truth_e": (7740, 15),
+        "delay_s": (37.602e-9, 1e-12),
+        # Noise, by up to 4 standard deviations: a processor that rounds light otherwise draws another.
+        "count": (15_010, 20),
+        "electrons": (10_711_990, 14_000),
+        "value": (-425_983, 20_000),
+        "cell_e": (7710, 420),
     }
-    # Noise is drawn by NumPy, light by the renderer: other processors may round it otherwise.
-    for name, value in told.items():
-        assert names[name] == pytest.approx(value, rel=2e-3), name
-    assert names["score"].psnr_db == pytest.approx(37.6, abs=0.1)
+    for name, (value, off) in told.items():
+        assert names[name] == pytest.approx(value, abs=off), name
+    assert names["score"].psnr_db == pytest.approx(37.6, abs=0.3)
     assert names["detection"].range_m == pytest.approx(5.6379, abs=2e-4)
