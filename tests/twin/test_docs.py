@@ -112,7 +112,7 @@ def test_the_walks_give_what_the_tour_says() -> None:
         "mean_e": (10_702_171, 20_000),
         "truth_e": (7740, 15),
         "delay_s": (37.602e-9, 1e-12),
-        # Noise, by up to 4 standard deviations: a processor that rounds light otherwise draws another.
+        # Noise, by up to 4 standard deviations: processors that round otherwise draw another.
         "count": (15_010, 20),
         "electrons": (10_711_990, 14_000),
         "value": (-425_983, 20_000),
