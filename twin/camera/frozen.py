@@ -109,6 +109,11 @@ class CountChange:
         together = max(together, min(passed, 1.0) * shaded)
         return math.hypot(float(np.linalg.norm(parts)), together) / self.noise_w
 
+    @property
+    def sun_range(self) -> float:
+        """Of the parts of the sun's light between the times looked at, norm, over the noise."""
+        return float(np.linalg.norm(np.ptp(self.suns, axis=0)) / self.noise_w)
+
     def _between(self, looks: Array, seconds: float, passed: float) -> Array:
         """What light at the times looked at differs by from one to another as far apart."""
         step = np.abs(np.diff(looks, axis=0)).max(axis=0)

@@ -46,9 +46,10 @@ _MOST_RENDERS = 32
 #: Of indirect light, which has no edges and whose paths cost more: first instants that one is
 #: enough of, and weights of its squared errors over those of direct light.
 _INDIRECT = (4, 3.0, 3.0)
-#: Paths of a set in a part of the sun's light to begin with. In `crossing` the difference of two
-#: exposures is then off by 0.024 of a count's noise, with twice as many by 0.016.
-_SUN_FIRST = 4
+#: Paths of a set in a part of the sun's light to begin with, at least and at most, and over the
+#: square of `CountChange.sun_range`: instants err apart by what moves, by some 0.5 of a count's
+#: noise on the yard in full sun and by 0.02 from one exposure to the next in `crossing` at dusk.
+_SUN_FIRST, _SUN_MOST, _SUN_OF_RANGE = 4, 32, 0.03
 #: Of a count, what its noise is at least: a full well of 1e8 electrons.
 _EXACT = 1e-4
 #: Error of paths over what is permitted above which a warning is given; it is an estimate.
@@ -329,7 +330,9 @@ def _sun(
         largest = SUNLIT * tracer.largest_weight
         error = PermittedError(chain, rendered, fidelity).sun_error(rendered.sun, largest)
         limit = np.full(weight.size, float(error.min()) / math.sqrt(weight.size))
-        parts = [replace(x, first=_SUN_FIRST) for x in _parts(_taken(rendered, SUN_INDIRECT))]
+        wanted = np.clip(_SUN_OF_RANGE * change.sun_range**2, _SUN_FIRST, _SUN_MOST)
+        first = 2 ** round(math.log2(wanted))
+        parts = [replace(x, first=first) for x in _parts(_taken(rendered, SUN_INDIRECT))]
     else:
         parts = _parts(fidelity.max_depth > 1, by_chance=False)
     small = change.of_sun(world.duration_s) / tolerance
