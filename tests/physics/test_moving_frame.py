@@ -34,9 +34,9 @@ from twin.motion.trajectory import through
 from twin.optics.paths import TracingQuality
 from twin.optics.ray_sets import RowRays
 from twin.optics.transport import path_moments
-from twin.scene import Pose, Rig, Scene, SceneObject, Sun
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
-from twin.system import System
+from twin.system import System, load_system
 
 Array = NDArray[np.float64]
 
@@ -576,3 +576,14 @@ def test_means_over_exposures_are_integrals_of_what_is_linear_between_instants()
     np.testing.assert_allclose(exposures.means(times) @ values, true, atol=1e-6)
     coarse = np.array([0.0, 0.02])
     np.testing.assert_allclose(exposures.means(coarse) @ coarse, exposures.middles_s, rtol=1e-12)
+
+
+def test_what_the_suns_light_scatters_by_is_told_where_it_counts() -> None:
+    """Between two exposures of a pair it is next to nothing."""
+    told = {
+        mode: " ".join(str(w) for w in capture(load_scene("yard"), system, seed=1).warnings)
+        for mode in ("plain", "differential")
+        for system in (load_system("workable").with_({"acquisition.mode": mode}),)
+    }
+    assert "the sun's light scatters" in told["plain"]
+    assert "the sun's light scatters" not in told["differential"]

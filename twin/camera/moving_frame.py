@@ -128,12 +128,27 @@ def frame_light(
         error = light.path_error * tolerance / math.sqrt(2)
         effect += f"; besides, {fidelity.samples} paths of a cell err by up to {error:.2g}"
     decision = decided(effect, light.motion_error * tolerance, taken=True)
-    warnings = _warnings(light, tolerance, fidelity)
+    sun_scatter = light.sun_scatter_w / change.noise_w
+    if system.acquisition.mode.value == "differential":
+        # Of the difference of an exposure and the next, between two instants of the sun's light.
+        interval_s = world.duration_s / max(len(light.sun_times_s) - 1, 1)
+        sun_scatter *= min(system.acquisition.pattern_period_s.value / interval_s, 1.0)
+    warnings = _warnings(light, sun_scatter, tolerance, fidelity)
     return FrameLight(signal_w, sun_w, scene.rig.pose, decision, warnings)
 
 
-def _warnings(light: "_Light", tolerance: float, fidelity: Fidelity) -> tuple[CaptureWarning, ...]:
+def _warnings(
+    light: "_Light", sun_scatter: float, tolerance: float, fidelity: Fidelity
+) -> tuple[CaptureWarning, ...]:
+    """``sun_scatter``: of the sun's light between exposures that are compared, over their noise."""
     found = []
+    if sun_scatter > tolerance:
+        text = (
+            f"the sun's light scatters by {sun_scatter:.2g} of an exposure's noise between "
+            f"instants, {tolerance:g} permitted: by what moves in the sun, or what paths err by; a "
+            "differential mode takes it out"
+        )
+        found.append(CaptureWarning("tolerance", text))
     if fidelity.has_light_tolerance and light.path_error > _FEW_PATHS:
         text = (
             f"paths of light of some instants err by {light.path_error:.2g} times what is "
@@ -165,6 +180,19 @@ class _Light:
     sun_w: Array
     motion_error: float
     path_error: float = 0.0
+
+    @property
+    def sun_scatter_w(self) -> float:
+        """Root mean square of what the sun's light at each instant is off its neighbours' by, as
+        independent errors of all of them; kinks in time count as well.
+        """
+        if len(self.sun_times_s) < 3 or self.sun_w.ndim != 2:
+            return 0.0
+        before, at, after = (self.sun_times_s[i : len(self.sun_times_s) - 2 + i] for i in range(3))
+        share = ((at - before) / (after - before))[:, None]
+        between = (1 - share) * self.sun_w[:-2] + share * self.sun_w[2:]
+        off2 = np.square(self.sun_w[1:-1] - between) / (1 + share**2 + (1 - share) ** 2)
+        return float(np.sqrt(off2.mean(axis=0).max()))
 
     @property
     def n_instants(self) -> int:

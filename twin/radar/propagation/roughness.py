@@ -35,8 +35,8 @@ def rough_surfaces(
     Large surfaces may, and bodies of a material with a gamma: without one the relief of a body is
     taken for part of its shape (`smooth_bodies`). An object counts where its clutter in any range
     cell, as if nothing hid it and over one mirror as well, may exceed a tenth of the noise of a
-    cell of the map; or where what it mirrors loses
-    more at normal incidence, where it loses most, than is permitted of each effect.
+    cell of the map; or where what it mirrors loses more at normal incidence, where it loses most,
+    than is permitted of each effect.
     """
     if fidelity.radar not in ("auto", "rough"):
         return frozenset(), ()
@@ -96,8 +96,7 @@ def absorbing_surfaces(scene: Scene, radar: RadarDesign, rough: Collection[str])
         relief = scene.materials[item.material].surface
         if item.name not in rough or relief is None or relief.backscatter_gamma is not None:
             continue
-        height_m = relief.rms_height_m.value
-        left = float(coherent(height_m, np.ones(1), radar.ofdm.wavelength_m)[0]) ** 2
+        height_m, left = relief.rms_height_m.value, (1 - _loss(scene, radar, item)) ** 2
         if left < 0.5:
             warned.append(
                 f"{item.name} absorbs what its roughness takes from its reflection: "
