@@ -38,9 +38,10 @@ class SlidingImages:
         """Take in a record: device time, ns, and image (n_images, rows, columns), electrons, after
         every so many patterns that arrived, and after the last.
 
-        The windows begin anew with other patterns, and where the sensor's clock runs back. The
-        level of the image is 0 until the pattern that lights all cells has come. Raises InputError
-        for patterns of a user's own, which this cannot do.
+        Cells that the patterns do not measure are NaN. The windows begin anew with other patterns,
+        and where the sensor's clock runs back. The level of the image is 0 until the pattern that
+        lights all cells has come. Raises InputError for patterns of a user's own, which this cannot
+        do.
         """
         received, patterns = record.received, record.patterns
         if not (isinstance(patterns, PatternSet) and isinstance(received.patterns, PatternSet)):
@@ -66,7 +67,8 @@ class SlidingImages:
                 window.push(places[part], values, 1e-9 * time_ns)
                 for window, values in zip(windows, measured.values[part].T, strict=True)
             ]
-            yield time_ns, np.stack(images).reshape(-1, patterns.rows, patterns.columns)
+            cells = np.where(patterns.unmeasured_cells, np.nan, np.stack(images))
+            yield time_ns, cells.reshape(-1, patterns.rows, patterns.columns)
 
 
 def _ends_ns(record: SpiRecord) -> NDArray[np.int64]:

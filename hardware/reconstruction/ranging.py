@@ -30,6 +30,10 @@ Array = NDArray[np.float64]
 
 
 AT_RAIL = "most exposures stand at the converter's rails or are marked saturated: no distance"
+ECHO_CUT = (
+    "cells of which an exposure is saturated: distances hold to the reach of a gate only, "
+    "amplitudes are lower bounds"
+)
 PULSE_UNKNOWN = (
     "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse "
     "up to the gate's length"
@@ -47,6 +51,8 @@ class RangeImage:
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
     no gate is open. A detector most of whose exposures are saturated is not confident of anything.
+    The same of a cell of a raster scan by its own exposures, except behind gates: an echo that the
+    rail cuts off came back while the gate was open, and its error is that.
     ``warnings``: what makes distances less sure than they could be.
     """
 
@@ -110,14 +116,37 @@ def _of_scan(record: SpiRecord) -> RangeImage:
     ranges = distances(record, np.nan_to_num(images), np.nan_to_num(errors, nan=1.0), "scan")
     unlit = record.patterns.unmeasured_cells.reshape(shape[2:])
     blind = _blind(record)[:, None, None] | unlit
+    cut = _saturated_cells(record).reshape(shape[1:]) & ~blind
+    if all(one.modulated for one in record.shutters):
+        blind = blind | cut  # what is left of the phases has another phase
+    error = np.where(
+        cut, np.hypot(ranges.standard_error_m, _reach_m(record)), ranges.standard_error_m
+    )
+    said = [(AT_RAIL, _blind(record)), (ECHO_CUT, cut & ~blind)]
     return replace(
         ranges,
         amplitude=np.where(unlit, np.nan, ranges.amplitude),
         distance_m=np.where(unlit, np.nan, ranges.distance_m),
-        standard_error_m=np.where(blind, np.inf, ranges.standard_error_m),
+        standard_error_m=np.where(blind, np.inf, error),
         confidence=np.where(blind, 0.0, ranges.confidence),
-        warnings=(*ranges.warnings, *((AT_RAIL,) if _blind(record).any() else ())),
+        warnings=(*ranges.warnings, *(warning for warning, where in said if where.any())),
     )
+
+
+def _saturated_cells(record: SpiRecord) -> NDArray[np.bool_]:
+    """Cells (n_detectors, n_cells) of a raster scan of which an exposure is saturated."""
+    scan = record.patterns
+    assert isinstance(scan, RasterScan)
+    saturated = _marked(record, record.counts == 2**record.adc_bits - 1)
+    cells = np.zeros((saturated.shape[1], scan.n_cells), np.bool_)
+    cells[:, scan.cells] = saturated.reshape(scan.count, -1, saturated.shape[1]).any(axis=1).T
+    return cells
+
+
+def _reach_m(record: SpiRecord) -> float:
+    """Standard deviation of a distance of which only the gate is known that took the echo."""
+    widest_s = max(shutter.gate_width_s for shutter in record.shutters)
+    return float(C_M_PER_S / 2 * (widest_s + record.pulse_width_s) / np.sqrt(12))
 
 
 def distances(record: SpiRecord, images: Array, errors: Array, method: str = "") -> RangeImage:
@@ -134,10 +163,15 @@ def _blind(record: SpiRecord) -> NDArray[np.bool_]:
     left moves with the rail, not with the light.
     """
     at_rail = (record.counts == 2**record.adc_bits - 1) | (record.counts == 0)
+    return np.asarray(_marked(record, at_rail).mean(axis=0) > 0.5)
+
+
+def _marked(record: SpiRecord, at_rail: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Exposures (n, n_detectors) at a rail, with those that are marked saturated: the flag does not
+    say whose well is full, so of all detectors where none stands at a rail.
+    """
     flagged = (record.flags & Flag.SATURATED) != 0
-    # The flag does not say whose well is full: of all, where no detector stands at a rail.
-    at_rail |= (flagged & ~at_rail.any(axis=1))[:, None]
-    return np.asarray(at_rail.mean(axis=0) > 0.5)
+    return at_rail | (flagged & ~at_rail.any(axis=1))[:, None]
 
 
 def _error(reconstruction: Reconstruction, count: int) -> Array:

@@ -10,7 +10,7 @@ from ugv_command import ugv
 
 from hardware import InputError, PatternSet, QuaternionPose, SpiRecord
 from hardware.radar import Detection
-from hardware.reconstruction import METHODS, measurements
+from hardware.reconstruction import METHODS, measurements, reconstruct
 from hardware.recording import Log, read_messages
 from hardware.records import Flag
 from hardware.sliding_images import SlidingImages
@@ -104,6 +104,15 @@ def test_after_a_whole_set_the_sliding_image_is_that_of_the_set(mode: str) -> No
     head = record.patterns.n_exposures - 64 * per_pattern
     times = [time for time, _ in images]
     assert times == [record.device_time_ns[head + per_pattern * n - 1] for n in (24, 48, 64)]
+
+
+@pytest.mark.parametrize("mode", ["plain", "s-matrix"])
+def test_cells_that_no_exposure_tells_have_no_value(mode: str) -> None:
+    """The first cell of a plain set or an S-matrix: lit always, or never."""
+    record = camera_record(mode=mode)
+    (*_, (_, images)) = SlidingImages(24).update("/spi", record)
+    np.testing.assert_array_equal(np.isnan(images[0]), np.isnan(reconstruct(record).image[0]))
+    assert np.isnan(images).sum() == 1
 
 
 def test_lost_patterns_are_passed_over() -> None:

@@ -15,6 +15,7 @@ from hardware.errors import InputError
 from hardware.patterns import Patterns, PatternSet, RasterScan
 from hardware.reconstruction import range_image, reconstruct
 from hardware.reconstruction.gating import bounds, echo, share
+from hardware.reconstruction.ranging import ECHO_CUT
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE
 from hardware.records import Flag, QuaternionPose, Shutter
 from twin.camera.cell_noise import echo_noise
@@ -277,6 +278,37 @@ def test_lost_exposures_leave_a_hole_in_image_and_distances(tmp_path: Path) -> N
     again = read_record(tmp_path / "scan.h5")
     assert again.patterns == record.received.patterns
     assert again.patterns.count == 255
+
+
+def test_an_echo_cut_off_by_the_rail_claims_no_more_than_its_gate() -> None:
+    """Echoes ten times the converter's range at any place in their two gates, beside cells well
+    within it: the first are off by decimetres and say so, the others are as exact as ever.
+    """
+    rng, n_gates = np.random.default_rng(0), 12
+    distance_m = rng.uniform(3.0, 14.0, 256)
+    bright = np.arange(256) % 4 == 0
+    shares = np.stack(
+        [share(2 * distance_m / C, k * WIDTH_S, WIDTH_S, WIDTH_S) for k in range(n_gates)], axis=1
+    )
+    full = 2**16 - 1
+    electrons = 1000 + shares * np.where(bright, 10 * full, full / 2)[:, None]
+    noisy = rng.poisson(electrons)
+    record = replace(
+        record_of(np.minimum(noisy, full), RasterScan(16, 16), gates(n_gates)), adc_bits=16
+    )
+    cut = (noisy >= full).any(axis=1)
+    found = range_image(record)
+    error = np.abs(found.distance_m.ravel() - distance_m)
+    stated = found.standard_error_m.ravel()
+    assert error[cut].max() > 0.4
+    assert (error < 5 * stated).all()
+    assert stated[cut].min() > 0.2
+    assert stated[~cut].max() < 0.02
+    assert found.warnings == (ECHO_CUT,)
+    marked = replace(record, flags=np.repeat(np.where(cut, Flag.SATURATED, 0), n_gates))
+    counts = np.minimum(record.counts, full - 1)  # a well that is full below the converter's end
+    told = range_image(replace(marked, counts=counts.astype(record.counts.dtype)))
+    np.testing.assert_allclose(told.standard_error_m.ravel()[cut], stated[cut], rtol=0.1)
 
 
 def test_patterns_of_a_scan() -> None:

@@ -328,6 +328,32 @@ def test_kill_and_resume_give_the_same_bits(
     assert_is_what_one_process_gives(open_sweep(out), path)
 
 
+def test_numbers_that_were_cut_short_are_refused(study, tmp_path: Path) -> None:
+    """Mapped for writing, a file grows back to its length by zeros, which look like results."""
+    path = study('[grid]\n"link.distance_m" = [1.0, 2.0, 4.0]\n', CLOSED)
+    run_sweep(path, out=tmp_path / "out")
+    numbers = tmp_path / "out" / "points" / "snr.npy"
+    for size in (0, 100, numbers.stat().st_size - 8):
+        os.truncate(numbers, size)
+        with pytest.raises(InputError, match=r"snr\.npy: is damaged .* of 3 points"):
+            run_sweep(path, out=tmp_path / "out")
+        assert numbers.stat().st_size == size
+
+
+@pytest.mark.parametrize(
+    "line", [b"\xff\x00\x93", b"[1]", b"7", b'{"start": 0, "stop": 3}', b"\0\0"]
+)
+def test_a_damaged_line_of_the_journal_is_computed_again(
+    study, tmp_path: Path, line: bytes
+) -> None:
+    path = study('[grid]\n"link.distance_m" = [1.0, 2.0, 4.0]\n', CLOSED)
+    run_sweep(path, out=tmp_path / "out")
+    whole = open_sweep(tmp_path / "out").load()
+    (tmp_path / "out" / "journal.jsonl").write_bytes(line + b"\n")
+    run_sweep(path, out=tmp_path / "out")
+    assert open_sweep(tmp_path / "out").identical(whole)
+
+
 def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> None:
     """A real `dask scheduler` and two workers, each a process of its own."""
     text = '[grid]\n"scene.rig.x_m" = [0.0, 0.3]\n"system.readout.read_noise_e" = [1.0, 2.0]\n'

@@ -43,6 +43,9 @@ _TEXT_LENGTH = 300
 #: Of two studies, that are told.
 _MOST_DIFFERENCES = 4
 _UNSET = "(not set)"
+#: Keys of the journal's lines, one set for each kind of line.
+_TOLD = {"renders", "errors", "warnings", "void"}
+_ENTRIES = ({"refine"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
 
 
 class Store:
@@ -53,14 +56,11 @@ class Store:
         self.study = _study_of(out, plan)
         self.chunk: int = plan["chunk"]
         self._plan = plan
-        try:
-            self.arrays = {
-                name: open_memmap(_array_file(out, name), mode="r+")
-                # A sweep begun before metrics had errors goes on without.
-                for name in plan.get("columns", self.study.metrics)
-            }
-        except (OSError, ValueError) as error:
-            raise InputError(f"{out}: is no whole sweep ({error})") from error
+        self.arrays = {
+            name: _open_array(_array_file(out, name), self.study.n_points)
+            # A sweep begun before metrics had errors goes on without.
+            for name in plan.get("columns", self.study.metrics)
+        }
         self.done: set[int] = set()
         self._to_refine: set[int] = set()
         self.progress = Progress()
@@ -70,9 +70,12 @@ class Store:
         path = self.out / "journal.jsonl"
         if not path.is_file():
             return
-        for line in path.read_text().splitlines():
-            with suppress(ValueError):  # a line cut off by a kill
-                self._note(json.loads(line))
+        # A line cut off by a kill, or damaged: its points are computed again.
+        for line in path.read_text(errors="replace").splitlines():
+            with suppress(ValueError):
+                entry = json.loads(line)
+                if isinstance(entry, dict) and any(keys <= entry.keys() for keys in _ENTRIES):
+                    self._note(entry)
 
     def _note(self, entry: dict[str, Any]) -> None:
         if "refine" in entry:
@@ -139,6 +142,7 @@ class Store:
         """
         for name, array in self.arrays.items():
             array[chunk.points] = chunk.values[name]
+            array.flush()
         points: list[int] = chunk.points.tolist()
         which = {"refined": points} if refined else {"start": points[0], "stop": points[-1] + 1}
         entry = {
@@ -310,6 +314,26 @@ def _reserve(path: Path, n: int) -> None:
     for start in range(0, n, 2**20):
         array[start : start + 2**20] = np.nan
     array.flush()
+
+
+def _open_array(path: Path, n: int) -> "np.memmap[Any, np.dtype[np.float64]]":
+    """One number per point, as `_reserve` made it; InputError for anything else.
+
+    A file cut short is no array to go on with: where it is mapped for writing it grows again, and
+    its end reads as zeros.
+    """
+    try:
+        begun = np.load(path, mmap_mode="r")
+        if begun.shape != (n,) or begun.dtype != np.float64:
+            raise ValueError(f"{path}: {begun.dtype} {begun.shape}, expected float64 {(n,)}")
+        return open_memmap(path, mode="r+")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, EOFError) as error:
+        raise InputError(
+            f"{path}: is damaged ({error}): expected the numbers of {n} points; begin the sweep "
+            "anew in another folder (--out)"
+        ) from error
 
 
 def open_sweep(out: str | Path) -> "xarray.Dataset":
