@@ -1,10 +1,12 @@
-"""`twin drive`: pace and memory over a minute, and the bytes after ten kills at random.
+"""`twin drive` with both sensors: pace and memory, and the bytes after ten kills at random.
 
-The camera is that of system `paper`, whose frames take 2.6 s, with the light of `draft`. Ten
-minutes take ten times as long: set `_DURATION_S`.
+The camera takes a frame of 32 x 32 cells in 2.6 s, and the radar sends a burst every 20 s, both
+with the knobs of `draft`. ``python -m benchmarks driving`` drives a minute; ``python -m
+benchmarks.driving 600`` as many seconds as it is told.
 """
 
 import hashlib
+import os
 import random
 import signal
 import subprocess
@@ -12,65 +14,117 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
-_SCENE, _DURATION_S, _KILLS = "crossing", 60, 10
-_LOOK_S = 0.5
+_SCENE, _DURATION_S, _KILLS, _RADAR_PERIOD_S = "crossing", 60.0, 10, 20.0
+_SYSTEM = """
+base = "paper"
+[emitter]
+rows = { value = 32, assumed = "a quarter of the cells of `paper`" }
+columns = { value = 32, assumed = "as rows" }
+[acquisition]
+n_patterns = { value = 1024, assumed = "a complete set" }
+pattern_period_s = { value = 1.26e-3, assumed = "a frame as long as that of `paper`" }
+"""
+_SYSTEM_FILE, _LOOK_S = "camera.toml", 0.2
+#: After the log has reached a length drawn at random, a drive goes on for up to as long: it is
+#: killed in the middle of an event, or while what was left is still being written anew.
+_LONGEST_S = 20.0
 
 
-def figures() -> Iterator[tuple[str, float, str]]:
+def figures(duration_s: float = _DURATION_S) -> Iterator[tuple[str, float, str]]:
     """Name, value and unit of each figure."""
     with tempfile.TemporaryDirectory() as folder:
         whole, killed = Path(folder) / "whole.mcap", Path(folder) / "killed.mcap"
-        begun = time.monotonic()
-        memory_mb = list(_watched(_started(whole)))
-        elapsed_s = time.monotonic() - begun
-        yield (
-            f"drive of {_SCENE}, camera, {_DURATION_S} s: of real time",
-            _DURATION_S / elapsed_s,
-            "",
-        )
-        half = len(memory_mb) // 2
-        yield "its largest memory, first half", max(memory_mb[:half]), "MB"
-        yield "its largest memory, second half", max(memory_mb[half:]), "MB"
-        yield "its log", whole.stat().st_size / 1e6, "MB"
-        rng = random.Random(0)
+        (Path(folder) / _SYSTEM_FILE).write_text(_SYSTEM)
+        drive = _Run(whole, duration_s).ended()
+        size = whole.stat().st_size
+        yield f"drive of {_SCENE}, {duration_s:g} s, of real time", duration_s / drive.took_s, ""
+        for name, value in drive.memory():
+            yield f"its largest memory, {name}", value, "MB"
+        yield "its log", size / 1e6, "MB"
+        rng, begun = random.Random(0), time.monotonic()
         for moment in sorted(rng.uniform(0, 1) for _ in range(_KILLS)):
-            _killed_at(_started(killed), killed, moment * whole.stat().st_size)
-        _started(killed).wait()
+            run = _Run(killed, duration_s).killed(moment * size, rng.uniform(0, _LONGEST_S))
+            share = killed.stat().st_size / size if killed.exists() else 0.0
+            yield f"killed after {run.took_s:.0f} s, of its log written", share, ""
+            yield "its largest memory", max(run.memory_mb), "MB"
+        last = _Run(killed, duration_s).ended()
+        yield "the last one's largest memory", max(last.memory_mb), "MB"
+        took_s = time.monotonic() - begun
+        yield f"killed {_KILLS} times and gone on with, of real time", duration_s / took_s, ""
         same = _digest(whole) == _digest(killed)
-        yield (
-            f"killed {_KILLS} times at random and gone on with: same bytes",
-            float(same),
-            "(1: yes)",
-        )
+        yield "the same bytes as the whole one's", float(same), "(1: yes)"
 
 
-def _started(path: Path) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, "-m", "twin", "drive", _SCENE, "--duration", f"{_DURATION_S} s"]
-    command += ["--system", "paper", "--fidelity", "draft", "--radar", "none", "--out", str(path)]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+@dataclass
+class _Run:
+    """A process that drives into a log, in a group of its own, and its resident memory over time.
 
+    Raises RuntimeError where it fails.
+    """
 
-def _watched(process: "subprocess.Popen[bytes]") -> Iterator[float]:
-    """Resident memory of a process, MB, until it ends."""
-    while process.poll() is None:
-        pages = Path(f"/proc/{process.pid}/statm").read_text().split()
-        if len(pages) > 1:
-            yield int(pages[1]) * 4096 / 1e6
-        time.sleep(_LOOK_S)
-    if process.returncode:
-        raise RuntimeError(f"drive ended with {process.returncode}")
+    path: Path
+    duration_s: float
+    memory_mb: list[float] = field(default_factory=list)
+    took_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        command = [sys.executable, "-m", "twin", "drive", _SCENE, "--out", str(self.path)]
+        command += [
+            "--duration",
+            f"{self.duration_s:g} s",
+            "--radar-period",
+            f"{_RADAR_PERIOD_S} s",
+        ]
+        command += ["--system", str(self.path.with_name(_SYSTEM_FILE)), "--fidelity", "draft"]
+        self._begun = time.monotonic()
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
 
-def _killed_at(process: "subprocess.Popen[bytes]", path: Path, size: float) -> None:
-    """Kill a process once its log is as large."""
-    while process.poll() is None and (not path.exists() or path.stat().st_size < size):
-        time.sleep(_LOOK_S / 10)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    def ended(self) -> "_Run":
+        """Once it has ended by itself."""
+        while self._goes_on():
+            pass
+        return self
+
+    def killed(self, size: float, further_s: float) -> "_Run":
+        """Killed so long after its log is as large."""
+        while self._goes_on() and not (self.path.exists() and self.path.stat().st_size >= size):
+            pass
+        end = time.monotonic() + further_s
+        while time.monotonic() < end and self._goes_on():
+            pass
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        return self
+
+    def memory(self) -> Iterator[tuple[str, float]]:
+        """Name of each fifth of its time, and what it held at most."""
+        n = len(self.memory_mb)
+        for fifth in range(5):
+            some = self.memory_mb[fifth * n // 5 : max((fifth + 1) * n // 5, fifth * n // 5 + 1)]
+            yield f"fifth {fifth + 1} of its time", max(some)
+
+    def _goes_on(self) -> bool:
+        """Whether it does, after a look at its memory and a wait."""
+        if self._process.poll() is None:
+            pages = Path(f"/proc/{self._process.pid}/statm").read_text().split()
+            self.memory_mb.append(int(pages[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6)
+            self.took_s = time.monotonic() - self._begun
+            time.sleep(_LOOK_S)
+            return True
+        if self._process.returncode:
+            raise RuntimeError(f"{self.path}: the drive ended with {self._process.returncode}")
+        return False
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+if __name__ == "__main__":
+    for name, value, unit in figures(*map(float, sys.argv[1:])):
+        print(f"{name}: {value:.4g} {unit}", flush=True)

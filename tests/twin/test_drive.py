@@ -28,10 +28,12 @@ from twin.drive import DeviceClock, Drive, drive
 from twin.drive.log import MARKS
 from twin.drive.sensors import CameraFrames
 from twin.drive.truth import Mark, ObjectStates
+from twin.drive.truth_samples import TruthSamples
 from twin.fidelity import Fidelity
 from twin.motion.trajectory import through
 from twin.radar import load_radar
 from twin.scene import Scene, load_scene
+from twin.scene.boxes import boxes_of
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
 
@@ -296,6 +298,38 @@ def test_truth_beside_the_records(whole: Path) -> None:
         expected = render_truth(mitsuba_scene(here), emitter, CAMERA.image_shape).depth_m
         seen = np.frombuffer(message[-4 * 64 :], "<f4").reshape(8, 8)
         np.testing.assert_allclose(seen, expected, rtol=1e-5)
+
+
+def test_states_at_many_times_are_those_of_the_scene_at_each() -> None:
+    """Of what rolls, swings and is carried, of targets on it, and of boxes around it."""
+    scene, times = load_scene("crossing"), np.array([0.0, 0.3, 33.3, 71.25])
+    for seconds, found in zip(times.tolist(), ObjectStates.at(scene, times), strict=True):
+        now = scene.after(seconds)
+        bodies = [now.rig.state, *(item.state for item in now.objects)]
+        assert found.names == ("rig", *(x.name for x in (*now.objects, *now.targets)))
+        poses, twists = found.poses[: len(bodies)], found.twists[: len(bodies)]
+        turns = Rotation.from_quat(poses[:, [4, 5, 6, 3]])
+        for row, state in enumerate(bodies):
+            np.testing.assert_allclose(poses[row, :3], state.pose.translation, atol=1e-11)
+            assert (turns[row].inv() * state.pose.rotation).magnitude() < 1e-11
+            rates = [*state.velocity_m_per_s, *state.angular_velocity_rad_per_s]
+            np.testing.assert_allclose(twists[row], rates, atol=1e-9)
+        boxes = found.boxes_m[1 : len(bodies)]
+        np.testing.assert_allclose(boxes, boxes_of(now.objects), atol=1e-11)
+        for row, target in enumerate(now.targets, len(bodies)):
+            place = target.position_m
+            np.testing.assert_allclose(found.poses[row], [*place, 1, 0, 0, 0], atol=1e-11)
+            np.testing.assert_allclose(found.boxes_m[row], [place, place], atol=1e-11)
+            rates = [*target.velocity_m_per_s, 0, 0, 0]
+            np.testing.assert_allclose(found.twists[row], rates, atol=1e-9)
+
+
+def test_samples_of_the_truth_do_not_depend_on_which_is_asked_for_first() -> None:
+    crossing = plan(scene=load_scene("crossing"), duration_s=1.5)
+    in_order = TruthSamples(crossing)
+    messages = [in_order(number).pack(0) for number in range(151)]
+    for first in (150, 70, 1):
+        assert TruthSamples(crossing)(first).pack(0) == messages[first]
 
 
 def test_the_vehicle_processes_the_log_and_reads_no_truth(whole: Path, tmp_path: Path) -> None:

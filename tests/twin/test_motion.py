@@ -23,6 +23,7 @@ from twin.motion import (
     Trajectory,
     Turning,
 )
+from twin.motion.polynomials import Polynomials
 from twin.motion.trajectory import Outside, through
 
 RNG = np.random.default_rng(3)
@@ -55,6 +56,32 @@ ALL = {
     "wheel": wheel_on(Product((Parent("car", drive()), Turning(AXIS, CENTRE, 0.5)))),
     "later": wheel_on(drive("repeat")).later(2.25),
 }
+
+
+@pytest.mark.parametrize("name", [*ALL, "held"])
+def test_polynomials_between_breaks_are_the_motion_to_rounding(name: str) -> None:
+    """Also where two breaks are a rounding apart; where it stands still, to the last bit."""
+    motion = drive("hold") if name == "held" else ALL[name]
+    breaks = motion.breaks_s(-1.3, 14.7)
+    breaks = np.union1d(breaks, np.nextafter(breaks[1:-1], np.inf))
+    found = Polynomials(breaks, lambda times: motion.pose_at(times).as_matrix())
+    times = np.concatenate([breaks, RNG.uniform(-1.3, 14.7, 200)])
+    true = motion.pose_at(times).as_matrix()
+    np.testing.assert_allclose(found.at(times), true, rtol=0, atol=1e-9)
+    assert found.last < 1e-9
+    if name == "held":
+        after = found.at(np.linspace(TIMES[-1] + 0.1, 14.7, 7))
+        assert (after == after[0]).all()
+
+
+def test_a_wheel_that_goes_forth_and_back_breaks_as_often_as_its_angle_asks_for() -> None:
+    """Of 10 m to and fro between two poses nothing is left at its end."""
+    places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-2.1, 0.0, 0.0]])
+    wheel = wheel_on(through([0.0, 4.0, 4.2], places, TURNS[[0, 0, 0]], "error"))
+    found = Polynomials(wheel.breaks_s(0.0, 4.2), lambda t: wheel.pose_at(t).as_matrix())
+    times = np.linspace(0, 4.2, 101)
+    true = wheel.pose_at(times).as_matrix()
+    np.testing.assert_allclose(found.at(times), true, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("time", [0.3, -3.2, 5.55, 30.1])

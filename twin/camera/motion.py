@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from twin.camera.swept import covers, image_points
 from twin.engine import mitsuba
+from twin.motion.polynomials import Polynomials
 from twin.optics.devices import CellGrid, Device, primary_rays
 from twin.optics.moving_scene import MovingBody, MovingScene
 from twin.optics.ray_sets import RowRays
@@ -34,8 +35,10 @@ _SOON = 1e-3
 _OWN_WIDTH = 0.5
 #: Over a cell's or a metre's, what a body is wide at least, so that nothing is infinitely thin.
 _THINNEST = 1e-3
-#: Times whose motions are kept for the next question.
-_MOST_HELD = 4096
+#: Times at which all motions are asked for once; where that needs more, each time is.
+_MOST_ASKED = 8192
+#: Of a motion between its breaks, the last terms of its polynomial at most, m or of a turn.
+_LAST_M = 1e-8
 #: A rotation that is less is none.
 _TURN_RAD = 1e-9
 
@@ -78,7 +81,6 @@ class WorldInMotion:
     def __init__(self, scene: Scene, duration_s: float) -> None:
         self.scene, self.duration_s = scene, duration_s
         self.looks_s = np.linspace(0, duration_s, _LOOKS)
-        self._held: dict[float, Array] = {}
         self._alike = [[number] for number in range(len(scene.objects))]
         self._looks = self._moves(self.looks_s)
         alike: dict[bytes, list[int]] = {}
@@ -102,15 +104,22 @@ class WorldInMotion:
 
     def moves(self, times_s: Array) -> Array:
         """Motion of each object since the start, (n_objects, n, 4, 4), seen from the rig."""
-        if len(times_s) > _MOST_HELD:
+        if self._polynomials is None:
             return self._moves(times_s)
-        # All parts of the light ask for mostly the same times, again and again.
-        if len(self._held) > _MOST_HELD:
-            self._held.clear()
-        new = np.array(sorted(set(times_s.tolist()) - self._held.keys()))
-        if len(new):
-            self._held.update(zip(new.tolist(), np.swapaxes(self._moves(new), 0, 1), strict=True))
-        return np.stack([self._held[seconds] for seconds in times_s.tolist()], axis=1)
+        return np.swapaxes(self._polynomials.at(times_s), 0, 1)
+
+    @cached_property
+    def _polynomials(self) -> Polynomials | None:
+        """The same between times at which motions break; None where there are too many of them, or
+        what moves is not as smooth in between as it says.
+        """
+        courses = [self.scene.rig.course, *(item.course for item in self.scene.objects)]
+        ends = 0.0, self.duration_s
+        breaks = np.unique(np.concatenate([ends, *(c.breaks_s(*ends) for c in courses if c.moves)]))
+        if Polynomials.times(breaks) > _MOST_ASKED:
+            return None
+        found = Polynomials(breaks, lambda times: np.swapaxes(self._moves(times), 0, 1))
+        return found if found.last <= _LAST_M else None
 
     def _moves(self, times_s: Array) -> Array:
         scene, place = self.scene, np.eye(4)

@@ -50,6 +50,9 @@ _INDIRECT = (4, 3.0, 3.0)
 #: square of `CountChange.sun_range`: instants err apart by what moves, by some 0.5 of a count's
 #: noise on the yard in full sun and by 0.02 from one exposure to the next in `crossing` at dusk.
 _SUN_FIRST, _SUN_MOST, _SUN_OF_RANGE = 4, 32, 0.03
+#: Of how many first instants one is enough for it: edges change the sum of the field, which alone
+#: counts, less than single cells, and at instants in between paths would only err apart.
+_SUN_STEP = 4
 #: Of a count, what its noise is at least: a full well of 1e8 electrons.
 _EXACT = 1e-4
 #: Error of paths over what is permitted above which a warning is given; it is an estimate.
@@ -379,7 +382,7 @@ def _sun(
         lambda at: replace(
             tracer, scene=world.scene_at(at), light=SunLight(world.sun_directions(at))
         ),
-        parts,
+        [replace(part, step=_SUN_STEP * part.step) for part in parts],
         times,
         np.ones((len(times) - 1, weight.size), dtype=bool),
         Effort(

@@ -118,8 +118,12 @@ class Drive:
 
     def _truth(self) -> Iterator[Event]:
         for number in count():
-            at_ns = round(number * 1e9 * self.truth_period_s)
+            at_ns = self.truth_ns(number)
             yield Event(at_ns, 2, "truth", number, at_ns)
+
+    def truth_ns(self, number: int) -> int:
+        """Time of a sample of the objects' states."""
+        return round(number * 1e9 * self.truth_period_s)
 
     @property
     def digest(self) -> str:

@@ -3,17 +3,20 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+
+import numpy as np
 
 from hardware.recording import Log
 from twin.drive.log import DriveLog
 from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
+from twin.drive.truth_samples import TruthSamples
 from twin.progress import interrupts
 
 #: Called with the reference time that is recorded, s.
@@ -107,11 +110,11 @@ def _mark(plan: Drive, event: Event, number: int) -> Mark:
 
 def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
     """What writes the messages of an event."""
-    camera, radar = CameraFrames(plan), RadarBursts(plan)
+    camera, radar, samples = CameraFrames(plan), RadarBursts(plan), TruthSamples(plan)
 
-    def states(log: Log, at_ns: int, log_ns: int) -> None:
-        message = ObjectStates.of(plan.scene.after(1e-9 * at_ns)).pack(at_ns)
-        log.message("/truth/objects", STATES, message, log_ns, at_ns)
+    def states(log: Log, found: Iterable[ObjectStates], at_ns: Sequence[int], log_ns: int) -> None:
+        for state, stamp_ns in zip(found, at_ns, strict=True):
+            log.message("/truth/objects", STATES, state.pack(stamp_ns), log_ns, stamp_ns)
 
     def frame(log: Log, event: Event) -> None:
         record = camera(event.number, event.begin_ns)
@@ -120,21 +123,22 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
         middle_ns = (event.begin_ns + event.end_ns) // 2
         for topic, (definition, message) in images_of(camera.truth(middle_ns), middle_ns).items():
             log.message(topic, definition, message, event.end_ns, middle_ns)
-        for at_ns in (event.begin_ns, middle_ns):
-            states(log, at_ns, event.end_ns)
+        at_ns = (event.begin_ns, middle_ns)
+        states(log, ObjectStates.at(plan.scene, 1e-9 * np.array(at_ns)), at_ns, event.end_ns)
 
     def burst(log: Log, event: Event) -> None:
         record = radar(event.number, event.begin_ns)
         model = plan.radar_clock.model
         log.record("/radar/record", record, host_ns=event.end_ns, clock=model)
-        states(log, event.begin_ns, event.end_ns)
+        found = ObjectStates.at(plan.scene, 1e-9 * np.array([event.begin_ns]))
+        states(log, found, [event.begin_ns], event.end_ns)
 
     def write(event: Event) -> Callable[[Log], None]:
         if event.kind == "camera":
             return lambda log: frame(log, event)
         if event.kind == "radar":
             return lambda log: burst(log, event)
-        return lambda log: states(log, event.begin_ns, event.end_ns)
+        return lambda log: states(log, [samples(event.number)], [event.end_ns], event.end_ns)
 
     return write
 

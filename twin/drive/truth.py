@@ -1,7 +1,7 @@
 """Truth of a drive as messages of its log, in topics that nothing on the vehicle reads."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from hardware.recording import ros
 from hardware.recording.cdr import Reader, Writer
 from hardware.recording.ros import HEADER_PARTS, Definition, put_header
 from twin.camera.truth import Truth
-from twin.scene import Scene
-from twin.scene.boxes import boxes_of
+from twin.motion import Kinematics, Product, Still, Straight
+from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
@@ -54,21 +54,27 @@ class ObjectStates:
     boxes_m: Array
 
     @classmethod
-    def of(cls, scene: Scene) -> "ObjectStates":
-        """All of a scene now."""
-        bodies = [scene.rig.state, *(item.state for item in scene.objects)]
-        names = ["rig", *(item.name for item in scene.objects)]
-        poses = [_pose(state.pose) for state in bodies]
-        twists = [[*s.velocity_m_per_s, *s.angular_velocity_rad_per_s] for s in bodies]
+    def at(cls, scene: Scene, times_s: Array) -> "list[ObjectStates]":
+        """All of a scene at each of some times (n,) from now on: many cost little more than one."""
+        rig = scene.rig.course.at(times_s)
+        names, poses, twists, boxes = ["rig"], [_poses(rig)], [_twists(rig)], [_points(rig)]
+        carriers: dict[str, tuple[SceneObject, Kinematics]] = {}
+        for item in scene.objects:
+            state = item.course.at(times_s)
+            if item.motion is not None:
+                carriers[item.name] = item, state
+            names.append(item.name)
+            poses.append(_poses(state))
+            twists.append(_twists(state))
+            boxes.append(_boxes(item, state))
         for target in scene.targets:
+            state = _target(target, carriers.get(target.object or ""), times_s)
             names.append(target.name)
-            poses.append([*target.position_m, 1.0, 0.0, 0.0, 0.0])
-            twists.append([*target.velocity_m_per_s, 0.0, 0.0, 0.0])
-        poses_array = np.array(poses, np.float64).reshape(-1, 7)
-        boxes = np.repeat(poses_array[:, None, :3], 2, axis=1)
-        if scene.objects:
-            boxes[1 : 1 + len(scene.objects)] = boxes_of(scene.objects)
-        return cls(tuple(names), poses_array, np.array(twists, np.float64).reshape(-1, 6), boxes)
+            poses.append(_poses(state))
+            twists.append(_twists(state) * [1, 1, 1, 0, 0, 0])
+            boxes.append(_points(state))
+        rows = zip(*(np.stack(part, axis=1) for part in (poses, twists, boxes)), strict=True)
+        return [cls(tuple(names), *row) for row in rows]
 
     def pack(self, stamp_ns: int) -> bytes:
         """The message."""
@@ -136,9 +142,41 @@ def images_of(truth: Truth, stamp_ns: int) -> dict[str, tuple[Definition, bytes]
     }
 
 
-def _pose(pose: RigidTransform) -> list[float]:
-    x, y, z, w = pose.rotation.as_quat().tolist()
-    return [*pose.translation.tolist(), w, x, y, z]
+def _poses(state: Kinematics) -> Array:
+    x, y, z, w = state.pose.rotation.as_quat().T
+    return np.stack([*state.pose.translation.T, w, x, y, z], axis=1)
+
+
+def _twists(state: Kinematics) -> Array:
+    return np.concatenate([state.velocity_m_per_s, state.angular_velocity_rad_per_s], axis=1)
+
+
+def _points(state: Kinematics) -> Array:
+    """Boxes without extent, (n, 2, 3)."""
+    return np.repeat(state.pose.translation[:, None], 2, axis=1)
+
+
+def _boxes(item: SceneObject, state: Kinematics) -> Array:
+    if not item.moves:
+        return np.repeat(item.box_m[None], len(state.pose), axis=0)
+    hull = item.geometry.vertices_m[item.geometry.shape.hull]
+    turns, places = state.pose.rotation.as_matrix(), state.pose.translation
+    corners = hull @ np.swapaxes(turns, 1, 2) + places[:, None]
+    return np.stack([corners.min(axis=1), corners.max(axis=1)], axis=1)
+
+
+def _target(
+    target: Target, carrier: tuple[SceneObject, Kinematics] | None, times_s: Array
+) -> Kinematics:
+    """A target on its way, or where the object that carries it takes it."""
+    place = np.asarray(target.position_m)
+    if carrier is None:
+        start = Still(RigidTransform.from_translation(place))
+        return Product((Straight(target.velocity_m_per_s), start)).at(times_s)
+    item, state = carrier
+    there = RigidTransform.from_translation(item.pose.inv().apply(place))
+    upright = RigidTransform.from_translation(state.carrying(there).pose.translation)
+    return replace(state.carrying(there), pose=upright)
 
 
 def _put_texts(writer: Writer, texts: tuple[str, ...]) -> None:

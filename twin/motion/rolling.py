@@ -56,7 +56,10 @@ class Rolling(Motion):
     def breaks_s(self, start_s: float, end_s: float) -> Array:
         """Those of the carrier, no farther apart than the angle allows."""
         breaks = self.carrier.breaks_s(start_s, end_s)
-        turns = np.abs(np.diff(self._angle(breaks)))
+        # Forth and back as well.
+        times, weights = gauss_nodes(breaks[:-1], breaks[1:])
+        rates = self._rate(times.ravel())[0].reshape(times.shape)
+        turns = np.sum(weights * np.abs(rates), axis=1)
         parts = np.maximum(1, np.ceil(turns / (math.pi / 4))).astype(int)
         pieces = [
             np.linspace(a, b, n, endpoint=False)

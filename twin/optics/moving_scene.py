@@ -7,6 +7,7 @@ taken there: nothing is built anew, and rays of many instants share one kernel.
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -50,8 +51,8 @@ class MovingScene:
     """Stands for a Mitsuba scene wherever rays are traced. A ray's ``time`` is the number of its
     instant, unless it is the scene `at` one: then all rays are of that one.
 
-    Bodies that touch each other are a group. Rays that miss the sphere around a group pass it by,
-    and where all rays of a packet do, the group costs nothing.
+    Bodies that touch each other are a group. Rays that miss the sphere around a group or a body
+    pass it by, and where all rays of a packet do, it costs nothing.
 
     Not a dataclass: Dr.Jit would traverse its fields at every loop.
     """
@@ -62,9 +63,7 @@ class MovingScene:
         self._placed = [_Placed(body, number) for number, body in enumerate(bodies)]
         self._n = len(bodies[0].shifts_m) if bodies else 1
         self._groups = [
-            _Group(
-                [self._placed[i] for i in numbers], *_sphere_around([bodies[i] for i in numbers])
-            )
+            _Group([self._placed[i] for i in numbers], _sphere_around([bodies[i] for i in numbers]))
             for numbers in _touching(bodies)
         ]
         rotations = np.concatenate([body.rotations for body in bodies]) if bodies else _NOWHERE
@@ -102,17 +101,13 @@ class MovingScene:
     def ray_test(self, ray: Any, coherent: Any = False, active: Any = True) -> Any:
         """Whether a surface is in the way of rays, as `mi.Scene.ray_test`."""
         instant = self._number(ray)
-        blocked = mitsuba().Bool(False)
-        for group in self._groups:
 
-            def tested(blocked: Any, group: "_Group" = group) -> tuple[Any]:
-                for placed in group.placed:
-                    local = self._pose(placed.number, instant).taken(ray)
-                    near = active & ~blocked & placed.is_near(local)
-                    blocked |= placed.scene.ray_test(local, coherent=coherent, active=near)
-                return (blocked,)
+        def by_body(placed: _Placed, near: Any, blocked: Any) -> tuple[Any]:
+            local = self._pose(placed.number, instant).taken(ray)
+            here = placed.scene.ray_test(local, coherent=coherent, active=near & ~blocked)
+            return (blocked | here,)
 
-            (blocked,) = group.where_near(ray, instant, active & ~blocked, tested, (blocked,))
+        (blocked,) = self._where_near(ray, instant, active, by_body, (mitsuba().Bool(False),))
         return blocked
 
     def _first_met(self, ray: Any, coherent: Any, active: Any) -> tuple[Any, Any]:
@@ -120,23 +115,37 @@ class MovingScene:
         mi, instant = mitsuba(), self._number(ray)
         found, body = dr.zeros(mi.PreliminaryIntersection3f, dr.width(ray)), mi.UInt32(0)
         found.t = mi.Float(dr.inf)
+
+        def by_body(placed: _Placed, near: Any, found: Any, body: Any) -> tuple[Any, Any]:
+            local = self._pose(placed.number, instant).taken(ray)
+            local.maxt = dr.minimum(local.maxt, found.t)
+            here = placed.scene.ray_intersect_preliminary(local, coherent=coherent, active=near)
+            nearer = here.is_valid() & (here.t < found.t)
+            found = dr.select(nearer, here, found)
+            return found, dr.select(nearer, mi.UInt32(placed.number), body)
+
+        found, body = self._where_near(ray, instant, active, by_body, (found, body))
+        return found, body
+
+    def _where_near(
+        self,
+        ray: Any,
+        instant: Any,
+        active: Any,
+        by_body: Callable[..., tuple[Any, ...]],
+        state: tuple[Any, ...],
+    ) -> tuple[Any, ...]:
+        """A state after ``by_body`` of each body that rays pass."""
         for group in self._groups:
 
-            def met(found: Any, body: Any, group: "_Group" = group) -> tuple[Any, Any]:
+            def by_group(near: Any, *state: Any, group: "_Group" = group) -> tuple[Any, ...]:
                 for placed in group.placed:
-                    local = self._pose(placed.number, instant).taken(ray)
-                    local.maxt = dr.minimum(local.maxt, found.t)
-                    near = active & placed.is_near(local)
-                    here = placed.scene.ray_intersect_preliminary(
-                        local, coherent=coherent, active=near
-                    )
-                    nearer = here.is_valid() & (here.t < found.t)
-                    found = dr.select(nearer, here, found)
-                    body = dr.select(nearer, mi.UInt32(placed.number), body)
-                return found, body
+                    work = partial(by_body, placed)
+                    state = placed.sphere.where_near(ray, instant, near, work, state)
+                return state
 
-            found, body = group.where_near(ray, instant, active, met, (found, body))
-        return found, body
+            state = group.sphere.where_near(ray, instant, active, by_group, state)
+        return state
 
     def _pose(self, body: Any, instant: Any) -> "_Pose":
         """Of bodies at instants."""
@@ -171,25 +180,23 @@ def _touching(bodies: Sequence[MovingBody]) -> list[list[int]]:
     return [np.flatnonzero(label == i).tolist() for i in np.unique(label)]
 
 
-def _sphere_around(bodies: Sequence[MovingBody]) -> tuple[Array, Array]:
-    """Middle (n, 3) and radius (n,) of a sphere around bodies at all instants."""
+def _sphere_around(bodies: Sequence[MovingBody]) -> "_Sphere":
+    """Around bodies at all instants."""
     places = np.array([body.rotations @ body.center_m + body.shifts_m for body in bodies])
     radii = np.array([body.radius_m for body in bodies])[:, None]
     low, high = (places - radii[..., None]).min(axis=0), (places + radii[..., None]).max(axis=0)
     middle = (low + high) / 2
-    reach = (np.linalg.norm(places - middle, axis=-1) + radii).max(axis=0)
-    return middle, reach * (1 + _MARGIN)
+    return _Sphere(middle, (np.linalg.norm(places - middle, axis=-1) + radii).max(axis=0))
 
 
-class _Group:
-    """Bodies with a sphere around them at all instants."""
+class _Sphere:
+    """Around something at all instants."""
 
-    def __init__(self, placed: Sequence["_Placed"], middle_m: Array, radius_m: Array) -> None:
-        self.placed = placed
-        # Of a sphere around the origin most rays begin within it.
+    def __init__(self, middle_m: Array, radius_m: Array) -> None:
+        # Of one around the origin most rays begin within it.
         self._always = bool((np.linalg.norm(middle_m, axis=1) <= radius_m).any())
-        self._middle = [_table(column) for column in middle_m.T]
-        self._reach2 = _table(radius_m**2)
+        reach2 = np.square(radius_m * (1 + _MARGIN))
+        self._table = _table(np.concatenate([middle_m, reach2[:, None]], axis=1).ravel())
 
     def where_near(
         self,
@@ -199,28 +206,31 @@ class _Group:
         work: Callable[..., tuple[Any, ...]],
         state: tuple[Any, ...],
     ) -> tuple[Any, ...]:
-        """``work`` on a state where rays pass the sphere, else the state."""
+        """``work`` of what is active and a state, where rays pass the sphere; else the state."""
         if self._always:
-            return work(*state)
+            return work(active, *state)
         mi = mitsuba()
-        middle = mi.Point3f(*(dr.gather(mi.Float, x, instant) for x in self._middle))
-        near = active & _passes(ray, middle, dr.gather(mi.Float, self._reach2, instant))
-        found: tuple[Any, ...] = dr.if_stmt(state, near, work, lambda *same: same)
+        x, y, z, reach2 = dr.gather(mi.Vector4f, self._table, instant)
+        near = active & _passes(ray, mi.Point3f(x, y, z), reach2)
+        found: tuple[Any, ...] = dr.if_stmt((near, *state), near, work, lambda near, *state: state)
         return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Bodies with a sphere around them."""
+
+    placed: "Sequence[_Placed]"
+    sphere: _Sphere
+
+
 class _Placed:
-    """A body's surfaces on the engine's device, in its own coordinates."""
+    """A body's surfaces, in its own coordinates, and a sphere around it."""
 
     def __init__(self, body: MovingBody, number: int) -> None:
         self.scene, self.number = body.scene, number
-        mi = mitsuba()
-        self._center = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in body.center_m))
-        self._reach2 = dr.opaque(mi.Float, float(body.radius_m * (1 + _MARGIN)) ** 2)
-
-    def is_near(self, ray: Any) -> Any:
-        """Whether rays pass the sphere around the body."""
-        return _passes(ray, self._center, self._reach2)
+        middle = body.rotations @ body.center_m + body.shifts_m
+        self.sphere = _Sphere(middle, np.full(len(middle), body.radius_m))
 
 
 def _passes(ray: Any, middle: Any, reach2: Any) -> Any:
