@@ -38,6 +38,7 @@ _ROOMS = (
     "moving_radar",
     "driving",
     "commands",
+    "noise_intervals",
     "stated_errors",
 )
 

@@ -36,16 +36,24 @@ def cases(seed: int, count: int, names: Sequence[str] = ()) -> Iterator[LightCas
 
     ``names``: parts of the names of those wanted; none: all.
     """
-    hard = ((draw.__name__.replace("_", " "), draw, tolerance) for draw, tolerance in _HARD)
-    drawn = ((WORLDS[i % len(WORLDS)], i) for i in range(count))
-    listed = (
-        *((name, draw, tolerance, 10**6 + i) for i, (name, draw, tolerance) in enumerate(hard)),
-        *((f"{i} {draw.__name__}", draw, None, i) for draw, i in drawn),
-    )
-    for name, draw, tolerance, key in listed:
+    for name, draw, tolerance, key in _listed(count):
         if not names or any(part in name for part in names):
             rng = np.random.default_rng([seed, _LIGHT, key])
             yield _case(name, draw, rng, tolerance or float(rng.choice(_TOLERANCES)))
+
+
+def names_of_cases(count: int) -> list[str]:
+    """Of those that `cases` yields, in their order."""
+    return [name for name, *_ in _listed(count)]
+
+
+def _listed(count: int) -> Iterator[tuple[str, Draw, float | None, int]]:
+    """Name, how it is drawn, tolerance, and key of its random numbers, of each case."""
+    for i, (draw, tolerance) in enumerate(_HARD):
+        yield draw.__name__.replace("_", " "), draw, tolerance, 10**6 + i
+    for i in range(count):
+        draw = WORLDS[i % len(WORLDS)]
+        yield f"{i} {draw.__name__}", draw, None, i
 
 
 def _case(name: str, draw: Draw, rng: np.random.Generator, tolerance: float) -> LightCase:

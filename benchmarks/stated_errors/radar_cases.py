@@ -55,26 +55,37 @@ class _Things:
         return Scene("drawn", Path("drawn"), "", tuple(objects), rig, sun, materials=table)
 
 
+_Draw = Callable[[np.random.Generator, float], _Things | Scene]
+
+
 def cases(seed: int, count: int, names: Sequence[str] = ()) -> Iterator[RadarCase]:
     """Those made to be hard, then ``count`` drawn by a seed, each the same whatever the count.
 
     ``names``: parts of the names of those wanted; none: all.
     """
-    hard = ((draw.__name__.replace("_", " "), draw, tolerance) for draw, tolerance in _HARD)
-    drawn = ((_DRAWN[i % len(_DRAWN)], i) for i in range(count))
-    listed = (
-        *((name, draw, tolerance, 10**6 + i) for i, (name, draw, tolerance) in enumerate(hard)),
-        *((f"{i} {draw.__name__}", draw, None, i) for draw, i in drawn),
-    )
-    for name, draw, tolerance, key in listed:
+    for name, draw, tolerance, key in _listed(count):
         if not names or any(part in name for part in names):
             rng = np.random.default_rng([seed, _RADAR, key])
             yield _case(name, draw, rng, tolerance or float(rng.choice(_TOLERANCES)))
 
 
+def names_of_cases(count: int) -> list[str]:
+    """Of those that `cases` yields, in their order."""
+    return [name for name, *_ in _listed(count)]
+
+
+def _listed(count: int) -> Iterator[tuple[str, _Draw, float | None, int]]:
+    """Name, how it is drawn, tolerance, and key of its random numbers, of each case."""
+    for i, (draw, tolerance) in enumerate(_HARD):
+        yield draw.__name__.replace("_", " "), draw, tolerance, 10**6 + i
+    for i in range(count):
+        draw = _DRAWN[i % len(_DRAWN)]
+        yield f"{i} {draw.__name__}", draw, None, i
+
+
 def _case(
     name: str,
-    draw: Callable[[np.random.Generator, float], _Things | Scene],
+    draw: _Draw,
     rng: np.random.Generator,
     tolerance: float,
 ) -> RadarCase:
@@ -317,7 +328,7 @@ def tiny_facing_facet(rng: np.random.Generator, wavelength_m: float) -> _Things:
     return _Things(found, 3)
 
 
-_DRAWN: tuple[Callable[[np.random.Generator, float], _Things | Scene], ...] = (
+_DRAWN: tuple[_Draw, ...] = (
     scattered_plates,
     close_plates,
     block,
@@ -330,7 +341,7 @@ _DRAWN: tuple[Callable[[np.random.Generator, float], _Things | Scene], ...] = (
     sionna,
 )
 _DRAWN_79 = (meshes, sionna, part_of_munich, closed_room)
-_HARD: tuple[tuple[Callable[[np.random.Generator, float], _Things | Scene], float], ...] = (
+_HARD: tuple[tuple[_Draw, float], ...] = (
     (strong_beside_weak, 0.2),
     (two_mirrors, 0.2),
     (keyhole, 0.2),

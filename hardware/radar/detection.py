@@ -69,6 +69,8 @@ class Detection:
     range_rate_alternatives_m_per_s
         Other range rates that the record cannot exclude, likeliest first; direction and error of
         the range rate are valid if none of them is the true one.
+    power_error_w
+        Standard error of the power; NaN where a detection of one's own does not tell it.
     """
 
     range_m: float
@@ -83,6 +85,7 @@ class Detection:
     elevation_error_rad: float = float("nan")
     rcs_m2: float = float("nan")
     range_rate_alternatives_m_per_s: tuple[float, ...] = ()
+    power_error_w: float = float("nan")
 
     @classmethod
     def of(cls, echo: EchoMeasurement) -> "Detection":
@@ -93,6 +96,7 @@ class Detection:
             range_rate_m_per_s=half_c * echo.delay_rate,
             power_w=echo.power_w,
             snr_db=echo.snr_db,
+            power_error_w=echo.power_error_w,
             range_error_m=half_c * echo.delay_error_s,
             range_rate_error_m_per_s=half_c * echo.delay_rate_error,
             range_rate_alternatives_m_per_s=tuple(

@@ -17,11 +17,11 @@ Array = NDArray[np.float64]
 class EchoMeasurement:
     """Delay there and back, its rate (s/s, positive: receding) and power of one echo.
 
-    ``power_w``: received by one antenna. ``amplitude`` (n_channels,): on every channel, in root
-    watts. Standard errors follow from the SNR and the window; without a window they are the
-    Cramer-Rao bounds. Values not measured are NaN: the rate from a single slot, the delay from a
-    single subcarrier. ``delay_rate_alternatives``: other rates that the record cannot exclude,
-    likeliest first.
+    ``power_w``: received by one antenna, with its standard error ``power_error_w``. ``amplitude``
+    (n_channels,): on every channel, in root watts. Standard errors follow from the SNR and the
+    window; without a window they are the Cramer-Rao bounds. Values not measured are NaN: the rate
+    from a single slot, the delay from a single subcarrier. ``delay_rate_alternatives``: other rates
+    that the record cannot exclude, likeliest first.
     """
 
     delay_s: float
@@ -30,6 +30,7 @@ class EchoMeasurement:
     snr_db: float
     delay_error_s: float
     delay_rate_error: float
+    power_error_w: float
     amplitude: NDArray[np.complex128]
     delay_rate_alternatives: tuple[float, ...] = ()
 
@@ -50,7 +51,8 @@ def echo_measurement(
     """
     power_w = float(np.mean(np.abs(amplitude) ** 2))
     snr = power_w / noise_w if noise_w else np.inf
-    disturbed = power_w / max(noise_w, around_w) if noise_w else np.inf
+    disturbance_w = max(noise_w, around_w) if noise_w else 0.0
+    disturbed = power_w / disturbance_w if noise_w else np.inf
     delay_error_s, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
     delay_s = blocks.delay_s + step[0] * blocks.grid.cell[0]
     delay_rate = blocks.delay_rate + step[1] * blocks.grid.cell[1]
@@ -63,8 +65,14 @@ def echo_measurement(
         snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
         delay_error_s=delay_error_s,
         delay_rate_error=rate_error,
+        power_error_w=_power_error_w(power_w, disturbance_w, len(amplitude)),
         amplitude=amplitude,
     )
+
+
+def _power_error_w(power_w: float, noise_w: float, n_channels: int) -> float:
+    """Standard deviation of the mean of |a + n|^2 over channels with independent complex noise."""
+    return float(np.sqrt((2 * power_w * noise_w + noise_w**2) / n_channels))
 
 
 def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[float, float]:

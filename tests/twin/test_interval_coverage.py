@@ -75,7 +75,9 @@ def _cases(scene: Scene, system: System, fidelity: Fidelity) -> tuple[list[bool]
         taken = captured(scene, system, fidelity, seed)
         for (value, width), (exact, _) in zip(cells_of(taken), cells_of(reference), strict=True):
             cells += (np.abs(value - exact) <= width + 1e-12 * np.abs(exact)).ravel().tolist()
-        figures += [interval.holds(true[n].value) for n, interval in figures_of(taken).items()]
+        figures += [
+            interval.of_model.holds(true[n].value) for n, interval in figures_of(taken).items()
+        ]
     return cells, figures
 
 
@@ -148,9 +150,9 @@ def radar_cases(coarse: RadarEvaluation, fine: RadarEvaluation) -> Iterator[bool
             near = abs(other.range_m - detection.range_m) < wave.range_cell_m / 2
             rate = other.range_rate_m_per_s - detection.range_rate_m_per_s
             if near and abs(rate) < wave.velocity_cell_m_per_s / 2:
-                yield interval.level_dbm.holds(10 * np.log10(other.power_w * 1e3))
-                yield interval.range_m.holds(other.range_m)
-                yield interval.range_rate_m_per_s.holds(other.range_rate_m_per_s)
+                yield interval.level_dbm.of_model.holds(10 * np.log10(other.power_w * 1e3))
+                yield interval.range_m.of_model.holds(other.range_m)
+                yield interval.range_rate_m_per_s.of_model.holds(other.range_rate_m_per_s)
                 break
 
 

@@ -77,4 +77,5 @@ def test_a_figure_is_valid_json_whatever_its_value() -> None:
         "value": None,
         "standard_error": 0.1,
         "systematic": None,
+        "noise": 0.0,
     }

@@ -40,6 +40,7 @@ class Figure:
             "value": _number(self.interval.value),
             "standard_error": _number(self.interval.standard_error),
             "systematic": _number(self.interval.systematic),
+            "noise": _number(self.interval.noise),
         }
 
     def __str__(self) -> str:

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from hardware.formatting import with_error
 
@@ -14,34 +15,44 @@ TWO_SIDED_95 = 1.96
 class Interval:
     """A figure with its errors, statistical and systematic apart, in the figure's own unit.
 
-    The errors are those of the model: the true value is that of an exact model of the same scene
-    and sensor, with the same noise of the sensor, which is no part of the interval.
+    The interval holds, in 95 of 100 cases, the figure that the sensor itself would give in a
+    measurement of its own: with exact light or echoes, and another draw of its noise. So it holds
+    what the model may be off by once, and the noise of two measurements, which differ by sqrt(2) of
+    what each of them scatters by.
 
     Parameters
     ----------
     value
         What was computed.
     standard_error
-        Standard deviation of ``value`` over other random draws of the same model.
+        Standard deviation of ``value`` over other draws of the model's random numbers: its paths.
     systematic
         What the model may be off by, the same way at every draw: a bound, not a deviation. Infinite
         where nothing bounds it.
+    noise
+        Standard deviation of ``value`` over other draws of the sensor's noise.
 
-    >>> psnr_db = Interval(27.31, standard_error=0.05, systematic=0.02)
+    >>> psnr_db = Interval(27.31, standard_error=0.05, systematic=0.02, noise=0.08)
     >>> print(f"{psnr_db.low:.2f} to {psnr_db.high:.2f}")
-    27.19 to 27.43
-    >>> print(psnr_db)
-    27.31 ± 0.12
+    27.05 to 27.57
+    >>> print(psnr_db, "of it", psnr_db.of_model)
+    27.31 ± 0.26 of it 27.31 ± 0.12
     """
 
     value: float
     standard_error: float = 0.0
     systematic: float = 0.0
+    noise: float = 0.0
 
     @property
     def half_width(self) -> float:
-        """Of the interval that holds the true value in 95 of 100 cases."""
-        return TWO_SIDED_95 * self.standard_error + self.systematic
+        """Of the interval."""
+        return float(half_width(self.standard_error, self.systematic, self.noise))
+
+    @property
+    def of_model(self) -> "Interval":
+        """The same for the same draw of the noise: what the model alone may be off by."""
+        return replace(self, noise=0.0)
 
     @property
     def low(self) -> float:
@@ -62,13 +73,15 @@ class Interval:
         return self.value == truth or self.low <= truth <= self.high
 
     def agrees(self, other: "Interval") -> bool:
-        """Whether the errors of both explain their difference: standard errors of two models are
+        """Whether the errors of both explain their difference: their paths and their noise are
         independent, systematic errors may be opposite.
 
         >>> Interval(1.0, 0.1).agrees(Interval(1.2, 0.1)), Interval(1.0, 0.1).agrees(Interval(1.3))
         (True, False)
         """
-        statistical = TWO_SIDED_95 * math.hypot(self.standard_error, other.standard_error)
+        statistical = TWO_SIDED_95 * math.hypot(
+            self.standard_error, other.standard_error, self.noise, other.noise
+        )
         both = Interval(self.value, systematic=statistical + self.systematic + other.systematic)
         return both.holds(other.value)
 
@@ -84,11 +97,16 @@ class Interval:
         return with_error(self.value, self.half_width, unit)
 
 
+def half_width(standard_error: Any, systematic: Any, noise: Any) -> Any:
+    """Half the width of intervals with these errors, numbers or arrays."""
+    return TWO_SIDED_95 * (standard_error**2 + 2 * noise**2) ** 0.5 + systematic
+
+
 def propagated(function: Callable[..., float], *of: Interval) -> Interval:
     """A smooth function of figures whose errors are independent, by the delta method.
 
-    Standard errors add as squares, systematic ones as they are; each from the difference of the
-    function over its own error, both ways.
+    Standard errors and noise add as squares, systematic errors as they are; each from the
+    difference of the function over its own error, both ways.
 
     >>> level_db = propagated(lambda ratio: 20 * math.log10(ratio), Interval(10.0, 0.1))
     >>> print(level_db)
@@ -108,4 +126,5 @@ def propagated(function: Callable[..., float], *of: Interval) -> Interval:
         function(*values),
         math.hypot(*(change(i, figure.standard_error) for i, figure in enumerate(of))),
         math.fsum(change(i, figure.systematic) for i, figure in enumerate(of)),
+        math.hypot(*(change(i, figure.noise) for i, figure in enumerate(of))),
     )

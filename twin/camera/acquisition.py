@@ -18,6 +18,7 @@ from twin.camera.illumination import amplifier_residue, dark_share, residual_sha
 from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
 from twin.camera.moving_frame import FrameLight
+from twin.camera.noise_draws import NoiseDraws
 from twin.camera.rendered import RenderedLight
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
@@ -97,6 +98,7 @@ class Capture:
     ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
     ``background_w`` is the sun's power on one detector, mean over the detectors. ``distance_m``:
     half the way from the emitter over each cell's surface to the detector, infinite where none is.
+    ``noise_draws``: what else the sensor might have read of the same light.
     """
 
     record: SpiRecord
@@ -116,6 +118,7 @@ class Capture:
     warnings: tuple[CaptureWarning, ...]
     light_systematic_e: Array
     distance_m: Array
+    noise_draws: NoiseDraws
     decisions: tuple[Decision, ...] = ()
     range_error: BackscatterRangeError | None = None
     model_error: ModelError = NO_ERROR
@@ -299,6 +302,7 @@ def measure(
         decisions=(*rendered.decisions, *((frame.decision,) if frame else ())),
         range_error=range_error,
         model_error=model_error(chain, power, signal_w),
+        noise_draws=NoiseDraws(chain, power, record, noise=noise, mean_w=mean_w, sun_w=open_w),
         distance_m=rendered.half_paths_m(),
     )
 

@@ -1,9 +1,12 @@
-"""Intervals of a capture's figures and of its images' scores: what the model's light may be off by.
+"""Intervals of a capture's figures and of its images' scores: what the model's light may be off by,
+and how far another draw of the sensor's noise would move them.
 
 The errors of cells are independent. A quantile of an image's cells is drawn anew with them, from a
-seed of its own, so that the same capture has the same intervals; all else is linear in them. Scores
-are compared with those of an exact model and the same noise of the sensor, whose image would follow
-what changes in the truth, in part.
+seed of its own, so that the same capture has the same intervals; all else is linear in them. By the
+model scores are off from those of an exact model and the same noise of the sensor, whose image
+would follow what changes in the truth, in part. By noise they scatter as those of other records of
+the same light do (`twin.camera.noise_draws`). SNRs and electrons are predicted, not read from the
+record: noise moves none of them, but for the light of an emitter that fluctuates.
 """
 
 from collections.abc import Callable
@@ -14,11 +17,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.reconstruction import METHODS, Reconstruction
-from hardware.reconstruction.measurements import measurements, with_level
-from hardware.reconstruction.sensing import Sensing
-from twin.accuracy import Interval
+from hardware.reconstruction import Reconstruction
+from twin.accuracy import Interval, propagated
 from twin.camera.acquisition import Capture
+from twin.camera.follows import Follows
+from twin.camera.noise_scatter import scatter_of_scores
 from twin.camera.score import in_words, psnr_db, similarities, similarity
 from twin.camera.verdict import lit_cells
 
@@ -33,8 +36,6 @@ _DRAWS_OF_IMAGES, _VERY_FEW = 8, 1.207
 _STEP = 1e-3
 #: Cells to a side of blocks whose errors change sign together.
 _BLOCK = 4
-#: Methods that invert a complete set of Hadamard patterns exactly.
-_INVERSES = ("zero-fill", "least-squares")
 
 
 @dataclass(frozen=True)
@@ -111,8 +112,19 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
 
 def signal_interval(capture: Capture) -> Interval:
     """Signal of one average exposure, electrons."""
-    error = capture.model_error
-    return _relative(capture.noise.signal_e, error.signal, error.signal_systematic)
+    error, exposures_w = capture.model_error, capture.signal_w.sum(axis=1)
+    fluctuation = capture.noise_draws.fluctuation * float(np.linalg.norm(exposures_w))
+    total_w = float(exposures_w.sum())
+    by_noise = fluctuation / total_w if total_w else 0.0
+    return _relative(capture.noise.signal_e, error.signal, error.signal_systematic, by_noise)
+
+
+def signal_power_interval(capture: Capture) -> Interval:
+    """Mean signal on a detector, W, whose relative errors are those of its electrons."""
+    of_electrons, signal_w = signal_interval(capture), float(capture.signal_w.mean())
+    if not of_electrons.value:
+        return Interval(signal_w)
+    return propagated(lambda electrons: signal_w * electrons / of_electrons.value, of_electrons)
 
 
 def background_interval(capture: Capture) -> Interval:
@@ -167,11 +179,14 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
         _in_db(shift / mean_square) / 2,
         _in_db(noise.systematic / noise.value),
     )
-    return Interval(value, float(np.linalg.norm(statistical)), float(sum(systematic)))
+    scatter_db = scatter_of_scores(capture, image).psnr_db
+    return Interval(value, float(np.linalg.norm(statistical)), float(sum(systematic)), scatter_db)
 
 
 def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
-    """SSIM of a reconstruction of a capture with its interval, from draws of the cells' errors."""
+    """SSIM of a reconstruction of a capture with its interval, from draws of the cells' errors and
+    of the noise.
+    """
     truth, seen = capture.measured_scene_e, image.picture - capture.backscatter_e
     known, value = np.isfinite(truth), similarity(truth, seen)
     if not (np.isfinite(value) and truth[known].max(initial=0.0) > 0):
@@ -194,7 +209,8 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
     systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
     systematic += abs(at_bound - value)
-    return Interval(value, float(statistical), float(systematic))
+    scatter = scatter_of_scores(capture, image).ssim
+    return Interval(value, float(statistical), float(systematic), scatter)
 
 
 def _signs_of_blocks(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
@@ -204,43 +220,6 @@ def _signs_of_blocks(shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     rows, columns = shape
     signs = rng.choice([-1.0, 1.0], (-(-rows // _BLOCK), -(-columns // _BLOCK)))
     return np.asarray(np.kron(signs, np.ones((_BLOCK, _BLOCK)))[:rows, :columns])
-
-
-class Follows:
-    """How an image follows errors of its truth: bundled methods are asked, others are taken not to
-    follow at all, which bounds what a method that smooths does.
-    """
-
-    def __init__(self, capture: Capture, image: Reconstruction) -> None:
-        self._image, self._method = image.image, METHODS.get(image.method)
-        if self._method is None or self._method.slow:
-            return
-        received = with_level(capture.record.received)
-        self._sensing, self._measured = Sensing(received.patterns), measurements(received)
-        if self._measured.values.shape[1] != len(self._image):  # complementary
-            self._method = None
-
-    def rest(self, error_e: Array) -> Array:
-        """What the image leaves of an error (rows, columns) of the cells, with its sign: what it
-        follows less the error.
-        """
-        if self._method is None or self._method.slow or not np.isfinite(error_e).all():
-            return -error_e
-        if self._is_inverse:
-            return np.zeros_like(error_e)
-        cells = np.stack(np.hsplit(error_e, len(self._image))).reshape(len(self._image), -1)
-        values = self._measured.values + np.stack([self._sensing.forward(x) for x in cells], 1)
-        solved = [
-            self._method(y, float(variance), self._sensing)[0].reshape(self._sensing.shape)
-            for y, variance in zip(values.T, self._measured.noise_variance, strict=True)
-        ]
-        followed = np.hstack([now - self._image[i] for i, now in enumerate(solved)])
-        return np.asarray(followed - error_e)
-
-    @property
-    def _is_inverse(self) -> bool:
-        complete = self._sensing.count == self._sensing.n_cells and not self._sensing.is_dense
-        return complete and self._method is not None and self._method.name in _INVERSES
 
 
 def _off(capture: Capture, image: Reconstruction) -> Array:
@@ -284,8 +263,11 @@ _OF_SNR: dict[str, Callable[[Array], Array]] = {
 }
 
 
-def _relative(value: float, statistical: float, systematic: float = 0.0) -> Interval:
-    return Interval(value, value * statistical, value * systematic if value else 0.0)
+def _relative(
+    value: float, statistical: float, systematic: float = 0.0, by_noise: float = 0.0
+) -> Interval:
+    bound = value * systematic if value else 0.0
+    return Interval(value, value * statistical, bound, value * by_noise)
 
 
 def _over(part: Array, whole: Array) -> Array:

@@ -60,7 +60,7 @@ class RadarEvaluation:
 
     @cached_property
     def intervals(self) -> tuple[DetectionIntervals, ...]:
-        """Of each detection, what the model may be off by."""
+        """Of each detection, what the model may be off by, and its noise."""
         sent_w = self.radar.front_end.transmit_power_w.value
         return detection_intervals(
             self.detections, self.capture, self.waveform, self.how.window, sent_w
@@ -81,9 +81,12 @@ class RadarEvaluation:
         """What was to be expected of a target, in words."""
         if not target.visible:
             return "no direct echo"
+        return f"{self.expected_snr_db(target):.1f} dB over the map's noise expected"
+
+    def expected_snr_db(self, target: TrueTarget) -> float:
+        """Of a target's peak over the map's noise, by the radar equation."""
         heard_w = target.received_w * _kept(target, self.radar.ofdm, self.how.window)
-        snr_db = 10 * np.log10(max(heard_w, 1e-300) / self.image.noise_w)
-        return f"{snr_db:.1f} dB over the map's noise expected"
+        return float(10 * np.log10(max(heard_w, 1e-300) / self.image.noise_w))
 
     def __str__(self) -> str:
         """What was achieved, a line each: over a track, on the map, and what is missing."""

@@ -1,4 +1,4 @@
-"""Intervals of what a radar detects: what the propagation model may be off by.
+"""Intervals of what a radar detects: what the propagation model may be off by, and its noise.
 
 The error of a body's echo is estimated as a share of its amplitude, root mean square over the band,
 that 95 of 100 bodies keep (`Propagation.bodies`). A detection is a part of one or several bodies at
@@ -8,6 +8,9 @@ error of the whole, which is spread over the ranges of the body.
 At an echo of amplitude a an error of amplitude r a changes the level by up to -20 lg(1 - r) dB; and
 delay, rate and direction by at most as much as noise of a signal-to-noise ratio of 1 / (2 r^2) does
 by one standard deviation (Cauchy-Schwarz inequality; of noise, half the power turns the phase).
+
+What another draw of the noise changes is what the detection tells of its own errors: they follow
+from the power around the echo, in which clutter counts as noise does.
 """
 
 from collections.abc import Sequence
@@ -29,7 +32,9 @@ _CELLS = 2.0
 
 @dataclass(frozen=True)
 class DetectionIntervals:
-    """A detection with what the model may be off by; ``level_dbm`` as received by one antenna."""
+    """A detection with what the model may be off by and its noise; ``level_dbm`` as received by one
+    antenna.
+    """
 
     level_dbm: Interval
     range_m: Interval
@@ -139,10 +144,15 @@ def _intervals(
         for r in shares
     ]
 
-    def of(value: float, statistical: float, systematic: float) -> Interval:
+    def of(value: float, noise: float, statistical: float, systematic: float) -> Interval:
         if np.isnan(value):
             return Interval(float("nan"))
-        return Interval(float(value), float(statistical) / TWO_SIDED_95, float(systematic))
+        return Interval(
+            float(value),
+            float(statistical) / TWO_SIDED_95,
+            float(systematic),
+            float("inf") if np.isnan(noise) else float(noise),
+        )
 
     def turned(by_noise: float) -> list[float]:
         """Errors of an angle, from what noise does to it; without noise nothing tells them."""
@@ -152,16 +162,19 @@ def _intervals(
         by_share = by_noise * float(np.sqrt(2 * snr))
         return [by_share * r if 0 < r < np.inf else r for r in shares]
 
-    level_dbm = 10 * np.log10(detection.power_w * 1e3) if detection.power_w > 0 else np.nan
-    half_c = C_M_PER_S / 2
+    d, half_c = detection, C_M_PER_S / 2
+    level_dbm = 10 * np.log10(d.power_w * 1e3) if d.power_w > 0 else np.nan
+    level_noise_db = 10 / np.log(10) * d.power_error_w / d.power_w if d.power_w > 0 else np.nan
     return DetectionIntervals(
-        level_dbm=of(level_dbm, *map(_in_db, shares)),
-        range_m=of(detection.range_m, *(half_c * delay_s for delay_s, _ in errors_s)),
+        level_dbm=of(level_dbm, level_noise_db, *map(_in_db, shares)),
+        range_m=of(d.range_m, d.range_error_m, *(half_c * delay_s for delay_s, _ in errors_s)),
         range_rate_m_per_s=of(
-            detection.range_rate_m_per_s, *(half_c * rate for _, rate in errors_s)
+            d.range_rate_m_per_s,
+            d.range_rate_error_m_per_s,
+            *(half_c * rate for _, rate in errors_s),
         ),
-        azimuth_rad=of(detection.azimuth_rad, *turned(detection.azimuth_error_rad)),
-        elevation_rad=of(detection.elevation_rad, *turned(detection.elevation_error_rad)),
+        azimuth_rad=of(d.azimuth_rad, d.azimuth_error_rad, *turned(d.azimuth_error_rad)),
+        elevation_rad=of(d.elevation_rad, d.elevation_error_rad, *turned(d.elevation_error_rad)),
     )
 
 

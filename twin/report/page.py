@@ -11,6 +11,7 @@ import numpy as np
 from hardware.formatting import json_text, number, quantity_text, setting_text, si
 from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
+from twin.camera.intervals import signal_power_interval
 from twin.camera.view import View
 from twin.errors import InputError
 from twin.optics.hazards import least_margins
@@ -18,7 +19,7 @@ from twin.progress import Stages
 from twin.radar.evaluation import RadarEvaluation
 from twin.report import camera_charts, charts, decisions, overview, radar_charts
 from twin.report.findings import camera_finding
-from twin.report.measured import noise_found_e
+from twin.report.measured import noise_found
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import radar_summary
 from twin.report.scene_model import scene_model
@@ -167,9 +168,9 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     capture, system = evaluation.capture, evaluation.system
     lens, noise, patterns = capture.lens, capture.noise, system.patterns
     verdict = evaluation.verdict
-    found_e = noise_found_e(evaluation)
+    found = noise_found(evaluation)
     rendering = capture.cells_error_e / noise.pixel_noise_e(patterns)
-    intervals, error = evaluation.intervals, capture.model_error
+    intervals, error, sun_w = evaluation.intervals, capture.model_error, capture.background_w
     images = zip(evaluation.reconstructions, evaluation.score_intervals, strict=True)
     named = [f"{image.method}: {score}" for image, score in images]
     return {
@@ -189,16 +190,14 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         "detector lens": f"focal length {si(lens.focal_length_m, 'm')}, "
         f"pupil {si(lens.pupil_diameter_m, 'm')}, "
         f"field {number(system.optics.field_of_view_deg.value, 4)}° {lens.outline}",
-        "signal on the detector, mean": _si(
-            float(capture.signal_w.mean()), error.signal, error.signal_systematic
-        ),
-        "sun on the detector": _si(capture.background_w, error.background),
+        "signal on the detector, mean": signal_power_interval(capture).text("W"),
+        "sun on the detector": Interval(sun_w, sun_w * error.background).text("W"),
         "electrons per exposure": f"signal {intervals.signal_e}, sun {intervals.background_e}, "
         f"dark {number(noise.dark_e)}",
         "noise per exposure": f"{intervals.noise_e} e- predicted, "
         + (
-            f"{number(found_e, 4)} e- found in the record"
-            if np.isfinite(found_e)
+            f"{found} e- found in the record"
+            if np.isfinite(found.value)
             else "not told by the record"
         ),
         "noise per pixel": f"{number(float(noise.pixel_noise_e(patterns)))} e-",
@@ -210,8 +209,3 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         f"root mean square {number(float(np.sqrt(np.mean(rendering**2))), 2)}",
         "reconstructions": "no image" if verdict.void else "; ".join(named),
     }
-
-
-def _si(value: float, statistical: float, systematic: float = 0.0) -> str:
-    """With an SI prefix and its interval; ``statistical``, ``systematic``: shares of the value."""
-    return Interval(value, value * statistical, value * systematic).text("W")

@@ -1,10 +1,10 @@
 """The verdict on a radar in words, from its map, the radar equation and its noise."""
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from hardware.formatting import counted, number, si
 from twin.accuracy import Figure, Interval
+from twin.radar.detection_count import threshold_db
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.truth import TrueTarget
 from twin.report.findings import Finding
@@ -45,15 +45,6 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
             Figure(of, "map's noise over the thermal one", "dB", Interval(excess_db)),
         ),
     )
-
-
-def threshold_db(evaluation: RadarEvaluation) -> float:
-    """Power over mean noise that white noise exceeds at the false-alarm probability, for the mean
-    of independent channels: a chi-squared variable.
-    """
-    channels = evaluation.image.n_channels
-    level = gammainccinv(channels, evaluation.how.cfar.false_alarm) / channels
-    return float(10 * np.log10(level))
 
 
 def reach_of(evaluation: RadarEvaluation, rcs_m2: float) -> float:

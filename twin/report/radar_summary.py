@@ -8,6 +8,7 @@ from scipy import constants
 from hardware.formatting import number, quantity_text, si, with_error
 from hardware.radar import Detection
 from twin.accuracy import Interval
+from twin.radar.detection_count import window_loss
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
 from twin.radar.micro_doppler import WINDOWS
@@ -122,7 +123,7 @@ def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
     received = radar.received_power_w(far, 10.0)
     noise = constants.k * 290.0 * wave.bandwidth_hz
     cells = wave.n_subcarriers * wave.n_slots
-    predicted = radar.sample_noise_w / cells * _window_loss(evaluation)
+    predicted = radar.sample_noise_w / cells * window_loss(evaluation)
     return [
         ("transmit power", _db(end.transmit_power_w.value * 1e3), "dBm"),
         ("antenna gain, each way", radar.antenna.ahead_dbi, "dBi"),
@@ -136,16 +137,6 @@ def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
         ("noise per cell, predicted", _db(predicted * 1e3), "dBm"),
         ("noise per cell, found", _db(evaluation.image.noise_w * 1e3), "dBm"),
     ]
-
-
-def _window_loss(evaluation: RadarEvaluation) -> float:
-    """Noise gain of the windows: product of their mean squares at mean 1."""
-    from hardware.radar.windows import normalised_window
-
-    sizes = evaluation.waveform.n_subcarriers, evaluation.waveform.n_slots
-    return float(
-        np.prod([np.mean(normalised_window(evaluation.how.window, n) ** 2) for n in sizes])
-    )
 
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from hardware.formatting import json_text
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
+from twin.camera.intervals import signal_power_interval
 from twin.camera.verdict import lit_cells
 from twin.camera.view import View
 from twin.errors import InputError
 from twin.optics.hazards import least_margins
+from twin.radar.detection_count import targets_detected
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
 from twin.report.findings import Finding, camera_finding
-from twin.report.measured import emitter_share, noise_found_e, range_used
+from twin.report.measured import emitter_share, noise_found, range_used
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import budget_figures
 
@@ -43,7 +45,8 @@ def summary(
     """Every figure of a run, and every decision of its models.
 
     Its ``figures`` have ``of`` (system or radar, then object or method), ``name``, ``unit``,
-    ``value``, ``standard_error`` and ``systematic``, null where nothing bounds them; its
+    ``value``, ``standard_error``, ``systematic`` and ``noise`` (see `Interval`), null where nothing
+    bounds them; its
     ``decisions`` are effects that were modelled or left out, with the bounds that decided; its
     ``findings`` are the verdicts on the sensors in words.
     """
@@ -95,7 +98,7 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     capture, system, intervals = evaluation.capture, evaluation.system, evaluation.intervals
     of, noise, error = (system.name,), capture.noise, capture.model_error
     lens, pixel_noise_e = capture.lens, noise.pixel_noise_e(system.patterns)
-    signal_w, sun_w = float(capture.signal_w.mean()), capture.background_w
+    sun_w = capture.background_w
     of_pixel = pixel_noise_e / noise.total_noise_e if noise.total_noise_e else 0.0
     yield Figure(of, "SNR per pixel, median of the lit cells", "", intervals.snr_median)
     yield Figure(of, "SNR per pixel, best", "", intervals.snr_best)
@@ -105,12 +108,7 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     yield Figure(of, "dark current per exposure", "e-", Interval(noise.dark_e))
     yield Figure(of, "noise per exposure", "e-", intervals.noise_e)
     yield Figure(of, "noise per pixel", "e-", propagated(lambda e: of_pixel * e, intervals.noise_e))
-    yield Figure(
-        of,
-        "signal on the detector, mean",
-        "W",
-        Interval(signal_w, signal_w * error.signal, _share(signal_w, error.signal_systematic)),
-    )
+    yield Figure(of, "signal on the detector, mean", "W", signal_power_interval(capture))
     yield Figure(of, "sun on the detector", "W", Interval(sun_w, sun_w * error.background))
     exact = (
         ("frame time", "s", system.frame_time_s),
@@ -124,8 +122,8 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     )
     for name, unit, value in exact:
         yield Figure(of, name, unit, Interval(value))
-    if np.isfinite(found_e := noise_found_e(evaluation)):
-        yield Figure(of, "noise per exposure as found in the record", "e-", Interval(found_e))
+    if np.isfinite((found := noise_found(evaluation)).value):
+        yield Figure(of, "noise per exposure as found in the record", "e-", found)
     for name, noise_e in noise.noise_e.items():
         yield Figure((*of, name), "noise per exposure, rms", "e-", Interval(noise_e))
     yield from _eye_safety(evaluation)
@@ -196,8 +194,7 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
         yield Figure(of, name, unit, Interval(value))
     for name, value, unit in budget_figures(evaluation):
         yield Figure(of, name, unit, Interval(value))
-    hit = len(capture.truth) - len(evaluation.missed)
-    yield Figure(of, "targets detected", "", Interval(float(hit)))
+    yield Figure(of, "targets detected", "", targets_detected(evaluation))
     for target in capture.truth:
         whose = (*of, "true", target.name)
         yield Figure(whose, "cross-section", "m²", Interval(target.rcs_m2))
@@ -250,8 +247,7 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
         yield Figure(of, "range rate", "m/s", model.range_rate_m_per_s)
         yield Figure(of, "level", "dBm", model.level_dbm)
         level = model.level_dbm
-        snr = Interval(detection.snr_db, level.standard_error, level.systematic)
-        yield Figure(of, "SNR", "dB", snr)
+        yield Figure(of, "SNR", "dB", replace(level, value=detection.snr_db))
         if target:
             true = 10 * np.log10(max(target.received_w, 1e-300) * 1e3)
             for name, found, value, unit in (
@@ -272,7 +268,3 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
 
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _share(value: float, share: float) -> float:
-    return value * share if value else 0.0

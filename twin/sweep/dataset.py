@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.units import unit_of
-from twin.accuracy.interval import TWO_SIDED_95
+from twin.accuracy.interval import half_width as half_width_of
 from twin.files import InputError
 from twin.sweep.accuracy import TOLERANCE
-from twin.sweep.names import CLOSED_FORM, ERRORS, RENDERED, error_of, is_own
+from twin.sweep.names import CLOSED_FORM, ERRORS, MODEL_ERRORS, RENDERED, error_of, is_own
 from twin.sweep.refinement import coarse_study
 from twin.sweep.study import Study
 
@@ -82,10 +82,11 @@ def dataset(
 ) -> "xarray.Dataset":
     """Everything so far; points not done and points that failed are NaN.
 
-    ``METRIC.standard_error`` and ``METRIC.systematic``: what the model may be off by; a closed form
-    has none. ``void`` and ``radar_void`` mark points whose record holds nothing that the metric
-    could be of, ``warned.KIND`` those that a warning of that kind was given of. Where the study's
-    points are computed to a coarse tolerance first, ``coarse`` marks those that were left at it.
+    ``METRIC.standard_error`` and ``METRIC.systematic``: what the model may be off by;
+    ``METRIC.noise``: what draws of the sensor's noise scatter by; a closed form has none.
+    ``void`` and ``radar_void`` mark points whose record holds nothing that the metric could be of,
+    ``warned.KIND`` those that a warning of that kind was given of. Where the study's points are
+    computed to a coarse tolerance first, ``coarse`` marks those that were left at it.
     """
     import xarray
 
@@ -165,14 +166,14 @@ def metrics_of(data: "xarray.Dataset") -> list[str]:
 
 
 def half_width(data: "xarray.Dataset", metric: str) -> "xarray.DataArray | None":
-    """Half-width of a metric's interval, which holds the true value in 95 of 100 cases; None where
-    the sweep has no errors.
+    """Half-width of a metric's interval, see `twin.accuracy.Interval`; None where the sweep has no
+    errors. One of an older version has none of noise, which is then not in it.
     """
-    names = [f"{metric}.{kind}" for kind in ERRORS]
-    if not all(name in data for name in names):
+    names = {kind: f"{metric}.{kind}" for kind in ERRORS}
+    if not all(names[kind] in data for kind in MODEL_ERRORS):
         return None
-    statistical, systematic = (data[name] for name in names)
-    return TWO_SIDED_95 * statistical + systematic
+    errors = {kind: data.get(name, 0.0) for kind, name in names.items()}
+    return half_width_of(**errors)
 
 
 def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -22,6 +22,7 @@ from twin.camera.intervals import (
 from twin.camera.score import Score, score_of
 from twin.camera.verdict import lit_cells
 from twin.errors import InputError
+from twin.radar.detection_count import targets_detected
 from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
@@ -167,23 +168,7 @@ def _range_error(outcome: Outcome) -> Interval:
     if not errors:
         return Interval(math.nan)
     largest, model = max(errors, key=lambda pair: pair[0])
-    return Interval(largest, model.standard_error, model.systematic)
-
-
-def _detected(outcome: Outcome) -> Interval:
-    """A target whose level may fall to the map's noise, as far as the model's error goes, may be
-    another one less.
-    """
-    radar = outcome.radar
-    found = {
-        true.name: snr_db - model.level_dbm.half_width
-        for true, model, snr_db in zip(
-            radar.matches, radar.intervals, (d.snr_db for d in radar.detections), strict=True
-        )
-        if true is not None
-    }
-    unsure = sum(lowest_db < 0 for lowest_db in found.values())
-    return Interval(float(len(found)), systematic=float(unsure))
+    return replace(model, value=largest)
 
 
 def _of_pixel_terms(solve: Callable[..., float], outcome: Outcome) -> Interval:
@@ -191,7 +176,7 @@ def _of_pixel_terms(solve: Callable[..., float], outcome: Outcome) -> Interval:
     return propagated(
         lambda signal, sun: solve(outcome, max(signal, 0.0), max(sun, 0.0)),
         *(
-            Interval(1.0, each.standard_error / each.value, each.systematic / each.value)
+            propagated(lambda value, here=each.value: value / here, each)
             if each.value > 0
             else Interval(1.0)
             for each in (_median_signal(outcome), background_interval(outcome.capture))
@@ -222,7 +207,7 @@ _MEASURES: dict[str, Callable[[Outcome], Interval]] = {
     "maximum_distance_m": lambda o: _of_pixel_terms(maximum_distance_m, o),
     "frame_rate_hz": _exact(lambda o: 1 / o.setup.system.frame_time_s),
     "range_error_m": _range_error,
-    "detections": _detected,
+    "detections": lambda o: targets_detected(o.radar),
 }
 
 

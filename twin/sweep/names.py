@@ -53,10 +53,12 @@ CLOSED_FORM = {
 
 
 #: Of a rendered metric, columns of what the model may be off by, with their meaning.
-ERRORS = {
+MODEL_ERRORS = {
     "standard_error": "standard error of the model",
     "systematic": "bound of the model's systematic error",
 }
+#: The same, and what the metric scatters by.
+ERRORS = {**MODEL_ERRORS, "noise": "standard deviation over draws of the sensor's noise"}
 
 
 def columns_of(metrics: Iterable[str], model: str) -> list[str]:

@@ -29,7 +29,7 @@ from twin.sweep.accuracy import TOLERANCE, accuracy_of, other_accuracy
 from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
-from twin.sweep.names import ERRORS, columns_of
+from twin.sweep.names import MODEL_ERRORS, columns_of
 from twin.sweep.refinement import coarse_study, largest_errors, may_be_on_front
 from twin.sweep.study import Study
 from twin.toml import describe
@@ -125,7 +125,10 @@ class Store:
         gains = np.stack([gain(data[name]).to_numpy().ravel() for name in names])
         errors = np.stack(
             [
-                largest_errors(*(data[f"{name}.{kind}"].to_numpy().ravel() for kind in ERRORS))
+                # All points draw the same noise.
+                largest_errors(
+                    *(data[f"{name}.{kind}"].to_numpy().ravel() for kind in MODEL_ERRORS)
+                )
                 for name in names
             ]
         )

@@ -1,0 +1,130 @@
+"""Intervals against other draws of the sensor's noise: what a user sees with another seed.
+
+Each case draws one figure many times from the same light or the same echoes; its coverage is the
+share of pairs of draws in which the interval of one holds the value of the other. `python -m
+benchmarks noise_intervals` prints it for 200 draws.
+"""
+
+import numpy as np
+import pytest
+
+import hardware
+from benchmarks.noise_intervals import camera_draws, coverage, radar_draws
+from twin.camera import capture
+from twin.camera.acquisition import measure
+from twin.camera.evaluation import evaluate
+from twin.camera.intervals import psnr_interval, signal_interval, ssim_interval
+from twin.camera.light import render
+from twin.fidelity import Fidelity
+from twin.radar import load_radar
+from twin.report.measured import noise_found
+from twin.scene import load_scene
+from twin.system import System, load_system
+
+
+def small(**changes: object) -> System:
+    usual = {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
+    return load_system("workable").with_({**usual, **changes})
+
+
+@pytest.mark.parametrize("n_patterns", [256, 64])
+@pytest.mark.parametrize("snr", [0.01, 1.0, 1000.0])
+def test_scores_with_another_seed_are_within_their_intervals(snr: float, n_patterns: int) -> None:
+    """PSNR and SSIM of three methods over 40 draws, at any signal. The scatter is told from 16
+    draws, to 18 %: a coverage from 83 to 99 % by chance alone. Half the scatter would cover 67 %.
+    """
+    system = small(**{"acquisition.n_patterns": n_patterns})
+    drawn = camera_draws(load_scene("table1"), system, snr, 40)
+    covered = [coverage(of_seeds) for name, of_seeds in drawn.items() if name != "median SNR"]
+    assert np.mean(covered) >= 0.93
+    assert min(covered) >= 0.8
+    for name, of_seeds in drawn.items():
+        scatter = np.std([interval.value for interval in of_seeds], ddof=1)
+        stated = np.mean([interval.noise for interval in of_seeds])
+        assert stated <= 3 * scatter, name  # nor any width
+
+
+def test_predicted_figures_do_not_depend_on_the_noise() -> None:
+    drawn = camera_draws(load_scene("table1"), small(), 1.0, 5)["median SNR"]
+    assert np.ptp([interval.value for interval in drawn]) < 1e-9
+    assert all(interval.noise == 0 for interval in drawn)
+
+
+def test_a_method_of_ones_own_scatters_as_its_error_were_noise() -> None:
+    """The plain inverse of a full set, whose error is nothing but noise, under a name that nobody
+    knows: PSNR of 60 seeds is within the intervals that the image's own error tells.
+    """
+
+    def own(values, noise_variance, sensing):  # type: ignore[no-untyped-def]
+        return sensing.adjoint(values) / sensing.n_cells
+
+    scene, system = load_scene("table1"), small()
+    light = render(scene, system, fidelity=Fidelity(samples=16), seed=np.random.SeedSequence(1))
+    drawn = []
+    for seed in range(60):
+        taken = measure(scene, system, light, rng=np.random.default_rng(seed))
+        drawn.append(psnr_interval(taken, hardware.reconstruct(taken.record, own)))
+    assert 0.9 <= coverage(drawn) <= 0.999
+
+
+def test_without_noise_there_is_none() -> None:
+    taken = capture(
+        load_scene("table1"), small(), fidelity=Fidelity(samples=16, noise="none"), seed=1
+    )
+    image = hardware.reconstruct(taken.record, "zero-fill")
+    assert psnr_interval(taken, image).noise == ssim_interval(taken, image).noise == 0
+
+
+def test_the_signal_of_an_emitter_that_fluctuates_scatters_as_stated() -> None:
+    """Mean of 512 exposures whose light scatters by 20 %: of 60 seeds, to 20 % (two deviations of
+    the scatter of as many).
+    """
+    scene, system = load_scene("table1"), small(**{"emitter.intensity_noise": 0.2})
+    light = render(scene, system, fidelity=Fidelity(samples=16), seed=np.random.SeedSequence(1))
+    drawn = [
+        signal_interval(measure(scene, system, light, rng=np.random.default_rng(seed)))
+        for seed in range(60)
+    ]
+    scatter = np.std([interval.value for interval in drawn], ddof=1)
+    assert drawn[0].noise == pytest.approx(scatter, rel=0.2)
+
+
+def test_noise_found_in_the_record_scatters_as_stated() -> None:
+    scene, system = load_scene("table1"), small()
+    light = render(scene, system, fidelity=Fidelity(samples=16), seed=np.random.SeedSequence(1))
+    drawn = [
+        noise_found(
+            evaluate(system, measure(scene, system, light, rng=np.random.default_rng(seed)))
+        )
+        for seed in range(40)
+    ]
+    assert coverage(drawn) >= 0.85
+    assert drawn[0].noise <= 2 * np.std([interval.value for interval in drawn], ddof=1)
+
+
+def test_detections_with_another_seed_are_within_their_intervals() -> None:
+    """Level, range and rate of declared targets at 35 dB less power, over 12 seeds."""
+    radar = load_radar("hybrid-79")
+    power_w = radar.front_end.transmit_power_w.value * 10**-3.5
+    radar = radar.with_({"front_end.transmit_power_w": power_w})
+    drawn = radar_draws(load_scene("yard"), radar, 12, Fidelity(radar="targets"))
+    covered = {name: coverage(of_seeds) for name, of_seeds in drawn.items()}
+    assert len(covered) >= 15
+    assert np.mean(list(covered.values())) >= 0.93
+    assert min(covered.values()) >= 0.75
+
+
+def test_targets_near_the_threshold_are_counted_with_their_scatter() -> None:
+    """At a power where about half of the targets are detected, over 12 seeds; and with all of the
+    power, where none is missed, the number is sure.
+    """
+    radar, scene = load_radar("hybrid-79"), load_scene("yard")
+    full = radar.front_end.transmit_power_w.value
+    weak = radar.with_({"front_end.transmit_power_w": full * 1e-5})
+    fidelity = Fidelity(radar="targets")
+    drawn = radar_draws(scene, weak, 12, fidelity)["targets detected"]
+    assert 1 < np.mean([interval.value for interval in drawn]) < 4
+    assert coverage(drawn) >= 0.9
+    assert max(interval.noise for interval in drawn) < 1.5
+    sure = radar_draws(scene, radar, 1, fidelity)["targets detected"]
+    assert (sure[0].value, sure[0].noise) == (5, 0)

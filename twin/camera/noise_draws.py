@@ -1,0 +1,56 @@
+"""Other draws of the noise of a frame, of the same light: what else the sensor might have read."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.records import SpiRecord
+from twin.camera.chain import Chain, Powers
+from twin.fidelity import Noise
+
+Array = NDArray[np.float64]
+
+_SEED = 18
+
+
+class NoiseDraws:
+    """Draws of the noise of a captured frame, the same ones at every call."""
+
+    def __init__(
+        self,
+        chain: Chain,
+        power: Powers,
+        record: SpiRecord,
+        *,
+        noise: Noise,
+        mean_w: Array | None = None,
+        sun_w: Array | None = None,
+    ) -> None:
+        """``mean_w``, ``sun_w``: of light that changes within the frame, as
+        `Chain.measure_frame` takes them.
+        """
+        self._chain, self._power, self._record = chain, power, record
+        self._noise, self._mean_w, self._sun_w = noise, mean_w, sun_w
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether one draw differs from another."""
+        return self._noise != "none"
+
+    @property
+    def fluctuation(self) -> float:
+        """Relative standard deviation of the emitter's light in one exposure."""
+        spread = self._chain.system.emitter.intensity_noise
+        return spread.value if spread and self.has_noise else 0.0
+
+    def records(self, n: int) -> Iterator[SpiRecord]:
+        """Records that differ from the frame's in their noise alone."""
+        rng = np.random.default_rng(_SEED)
+        mean_w = self._chain.mean_signal(self._power) if self._mean_w is None else self._mean_w
+        for _ in range(n if self.has_noise else 0):
+            _, counts, flags = self._chain.measure_frame(
+                self._power, rng=rng, noise=self._noise, mean_w=mean_w, sun_w=self._sun_w
+            )
+            yield replace(self._record, counts=counts, flags=flags)

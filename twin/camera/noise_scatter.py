@@ -1,0 +1,90 @@
+"""How far another draw of the sensor's noise moves what is made of a record.
+
+The same light is measured some times more, and the same method makes an image of each record. The
+standard deviation of so few scores is itself uncertain, by some 18 %, so that of PSNR is at least
+what the spectrum of the images' noise makes of it, if that is Gaussian and the same everywhere: the
+sum of squares of noise n with spectrum P about a fixed error b has the variance of 2 sum b n, told
+by the draws, and 2 sum P^2 (P unitary).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.reconstruction import Reconstruction
+from hardware.records import SpiRecord
+from twin.camera.acquisition import Capture
+from twin.camera.follows import Follows
+from twin.camera.score import psnr_db, similarities
+
+Array = NDArray[np.float64]
+
+#: Other draws of the noise; with that of the record itself, the factor by which their scatter is to
+#: be larger so that 1.96 of it hold 95 % of cases (Student's distribution).
+_DRAWS, _FEW = 16, 1.082
+_SEED = 17
+
+
+@dataclass(frozen=True)
+class ScatterOfScores:
+    """Standard deviations over draws of the noise."""
+
+    psnr_db: float = 0.0
+    ssim: float = 0.0
+
+
+def scatter_over_noise(
+    capture: Capture, here: float, of_record: Callable[[SpiRecord], float]
+) -> float:
+    """Standard deviation of a figure of a record, which is ``here`` of the capture's own."""
+    others = [of_record(record) for record in capture.noise_draws.records(_DRAWS)]
+    return _scatter([here, *others]) if others else 0.0
+
+
+@lru_cache(maxsize=2)
+def scatter_of_scores(capture: Capture, image: Reconstruction) -> ScatterOfScores:
+    """Of an image of a capture; kept for the next score of the same image.
+
+    Of methods that are not asked again, slow ones and a user's own: as if all of the image's error
+    were noise, a random field with the spectrum that it has.
+    """
+    if not capture.noise_draws.has_noise:
+        return ScatterOfScores()
+    truth, backscatter_e = capture.measured_scene_e, capture.backscatter_e
+    own, follows = image.picture - backscatter_e, Follows(capture, image)
+    if follows.is_known:
+        records = capture.noise_draws.records(_DRAWS)
+        seen = np.stack([own, *(follows.picture(record) - backscatter_e for record in records)])
+    else:
+        seen = np.stack([own, *(truth + field for field in _fields_like(own - truth))])
+    levels_db = [psnr_db(truth, each) for each in seen]
+    alike = similarities([truth] * len(seen), list(seen))
+    by_spectrum_db = _scatter_by_spectrum_db(np.nan_to_num(seen - truth))
+    return ScatterOfScores(max(_scatter(levels_db), by_spectrum_db), _scatter(alike))
+
+
+def _scatter(drawn: Sequence[float] | Array) -> float:
+    return _FEW * float(np.std(np.asarray(drawn), ddof=1)) if np.isfinite(drawn).all() else np.inf
+
+
+def _scatter_by_spectrum_db(errors: Array) -> float:
+    """Of the level of the mean square of errors (n_draws, rows, columns)."""
+    n_draws, n_cells = len(errors), errors[0].size
+    fixed = errors.mean(axis=0)
+    beside_fixed = 2 * np.sum(fixed * errors, axis=(1, 2))
+    spectrum = np.var(np.fft.fft2(errors, norm="ortho"), axis=0, ddof=1)
+    # The square of a variance that is estimated itself is larger by this.
+    squares = np.sum(spectrum**2) / (1 + 1 / (n_draws - 1))
+    variance = (2 * squares + np.var(beside_fixed, ddof=1)) / n_cells**2
+    mean_square = float(np.mean(errors**2))
+    return float(10 / np.log(10) * np.sqrt(variance) / mean_square) if mean_square else 0.0
+
+
+def _fields_like(error: Array) -> Array:
+    """Random fields (_DRAWS, rows, columns) with the power spectrum of an error."""
+    amplitude = np.abs(np.fft.fft2(np.nan_to_num(error), norm="ortho"))
+    white = np.random.default_rng(_SEED).standard_normal((_DRAWS, *error.shape))
+    return np.asarray(np.fft.ifft2(np.fft.fft2(white) * amplitude).real)
