@@ -95,6 +95,7 @@ class Simulated:
             values[name] = self.truth[row, points] + self.off[row, points] * error
             values[f"{name}.standard_error"] = error
             values[f"{name}.systematic"] = np.zeros(len(points))
+            values[f"{name}.noise"] = np.full(len(points), np.inf)  # all points draw the same
         assert set(values) == set(columns_of(FRONT, "rendered"))
         self.points += [(share, int(point)) for point in points]
         void = [int(p) for p in points if p % 17 == 3]

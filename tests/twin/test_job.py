@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from hardware import read_record, reconstruct
-from hardware.formatting import number
 from hardware.radar.process import process
 from hardware.records import read_radar_record
 from tests.still import still_yard
@@ -134,7 +133,7 @@ def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:
 
 
 def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:
-    """What the page says of a score stands in the summary, statistical and systematic apart."""
+    """What the page says of a score stands in the summary, its parts apart."""
     summary = json.loads((finished / "summary.json").read_text())
     assert (summary["format"], summary["version"]) == ("ugv-twin-summary", 1)
     figures = {(*f["of"], f["name"]): f for f in summary["figures"]}
@@ -142,8 +141,11 @@ def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:
     for name, unit in (("PSNR", "dB"), ("SSIM", "")):
         found = figures["workable", "lmmse", name]
         assert found["unit"] == unit
-        interval = Interval(found["value"], found["standard_error"], found["systematic"])
+        interval = Interval(
+            found["value"], found["standard_error"], found["systematic"], found["noise"]
+        )
         assert found["standard_error"] > 0
+        assert found["noise"] > 0
         assert f"{name} {interval}" in page
     assert figures["workable", "SNR per pixel, median of the lit cells"]["systematic"] > 0
     assert figures["workable", "frame time"]["standard_error"] == 0
@@ -152,8 +154,8 @@ def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:
     assert f"patterns move {moved:.2%} of" in page
     emitted = figures["workable", "emitter's share of the light in the band"]["value"]
     assert f"emitter, all cells lit: {emitted:.1%} of" in page
-    measured = figures["workable", "noise per exposure as found in the record"]["value"]
-    assert f"{number(measured, 4)} e- found in the record" in page
+    measured = figures["workable", "noise per exposure as found in the record"]
+    assert f"{Interval(measured['value'], noise=measured['noise'])} e- found in" in page
     with (finished / "detections.csv").open() as file:
         rows = list(csv.DictReader(file))
     for index, row in enumerate(rows):

@@ -168,7 +168,7 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
 
 
 def _off(measured: Interval, true: float, unit: str) -> str:
-    """What was measured less the truth, with what the model may be off by."""
+    """What was measured less the truth, with its interval."""
     off = measured.value - true
     return (
         "not measured" if np.isnan(off) else with_error(off, measured.half_width, unit, sign=True)

@@ -63,7 +63,7 @@ def best_point(data: "xarray.Dataset", metric: str, *, void: bool = False) -> Be
     gains = gain(values).to_numpy().ravel()
     if not np.isfinite(gains).any():
         raise InputError(f"metric: {metric!r}: no point has a number of it that is not void")
-    widths = half_width(data, metric)
+    widths = half_width(data, metric, of_model=True)
     errors = np.zeros(len(gains)) if widths is None else widths.to_numpy().ravel()
     point = int(np.nanargmax(np.where(np.isfinite(gains), gains, np.nan)))
     as_good = gains + errors >= gains[point] - errors[point]

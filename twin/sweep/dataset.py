@@ -165,15 +165,18 @@ def metrics_of(data: "xarray.Dataset") -> list[str]:
     ]
 
 
-def half_width(data: "xarray.Dataset", metric: str) -> "xarray.DataArray | None":
+def half_width(
+    data: "xarray.Dataset", metric: str, *, of_model: bool = False
+) -> "xarray.DataArray | None":
     """Half-width of a metric's interval, see `twin.accuracy.Interval`; None where the sweep has no
     errors. One of an older version has none of noise, which is then not in it.
+
+    ``of_model``: without the noise, of which all points of a sweep draw the same.
     """
-    names = {kind: f"{metric}.{kind}" for kind in ERRORS}
-    if not all(names[kind] in data for kind in MODEL_ERRORS):
+    if not all(f"{metric}.{kind}" in data for kind in MODEL_ERRORS):
         return None
-    errors = {kind: data.get(name, 0.0) for kind, name in names.items()}
-    return half_width_of(**errors)
+    kinds = MODEL_ERRORS if of_model or f"{metric}.noise" not in data else ERRORS
+    return half_width_of(**{"noise": 0.0, **{kind: data[f"{metric}.{kind}"] for kind in kinds}})
 
 
 def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":

@@ -30,7 +30,7 @@ class FrontDesigns:
         Names.
     rows
         Of each design its ``point``, parameters, metrics, and ``METRIC.half_width`` of the interval
-        that holds the true value in 95 of 100 cases, NaN where the sweep has none.
+        (`twin.accuracy.Interval`), NaN where the sweep has none.
     units
         Of the metrics.
     n_points

@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 def plot_plane(
     data: "xarray.Dataset", metric: str, x: str, y: str | None = None, *, void: bool = False
 ) -> Figure:
-    """A metric over one parameter (a line; with bars of the model's 95 % intervals where nothing
-    else varies), or over two (a map); medians over all others.
+    """A metric over one parameter (a line; with bars of the 95 % intervals where nothing else
+    varies), or over two (a map); medians over all others.
     """
     values = column(data, metric, void=void)
     left_out = _left_out(data, values)
