@@ -32,6 +32,7 @@ _ROOMS = (
     "bodies",
     "regression",
     "sweep",
+    "sweep_errors",
     "vehicle",
     "stream",
     "motion",

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from twin.camera import capture
 from twin.camera.chain import Chain
+from twin.camera.intervals import capture_intervals
 from twin.camera.light import render
 from twin.camera.permitted_error import PermittedError
 from twin.cli import app
@@ -69,6 +70,25 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     alone = capture(made.scene, made.system, fidelity=STILL, seed=made.seed)
     counts = outcome_of(plan, strictest, inputs).capture.record.counts
     np.testing.assert_array_equal(counts, alone.record.counts)
+
+
+def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(study) -> None:
+    """The quietest sensor, to whose noise the light is rendered, sees no sun at all. Sun and noise of
+    those that share its light are all the same those of many paths, within their intervals. 6 % of
+    the yard's sun is indirect.
+    """
+    plan = load_study(study(SENSORS, HEAD))
+    inputs, fine = inputs_of(plan), Fidelity(samples=1024, max_depth=12)
+    for index in range(9):
+        outcome = outcome_of(plan, index, inputs)
+        made, stated = outcome.setup, capture_intervals(outcome.capture)
+        true = capture_intervals(capture(made.scene, made.system, fidelity=fine, seed=99))
+        assert stated.background_e.half_width <= 0.05 * stated.background_e.value
+        for one, other in (
+            (stated.background_e, true.background_e),
+            (stated.noise_e, true.noise_e),
+        ):
+            assert abs(one.value - other.value) <= one.half_width + other.half_width
 
 
 def test_bits_do_not_depend_on_which_point_comes_first(study) -> None:

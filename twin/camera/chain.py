@@ -37,9 +37,10 @@ class Powers:
     """Power on the detectors, W: from each cell lit alone, (n_shutters, n_detectors, n_cells), with
     its Monte-Carlo error (n_detectors, n_cells), and from the sun (n_detectors,).
     ``backscatter_w``: the part of ``cells_w`` that the air scattered back. ``left_out_w``: bound of
-    each cell's light that the render left out, (n_detectors, n_cells). ``sun_error_w``
-    (n_detectors,): standard error of ``sun_w``. ``sun_of_cells_w`` (n_cells,): the sun while a cell
-    is lit, of a detector whose field follows it; ``sun_w`` is then the mean.
+    each cell's light that the render left out, (n_detectors, n_cells). ``sun_error_w``,
+    ``sun_left_out_w`` (n_detectors,): standard error of ``sun_w``, and bound of what is left out of
+    it. ``sun_of_cells_w`` (n_cells,): the sun while a cell is lit, of a detector whose field
+    follows it; ``sun_w`` is then the mean.
     """
 
     cells_w: Array
@@ -48,6 +49,7 @@ class Powers:
     backscatter_w: Array
     left_out_w: Array
     sun_error_w: Array
+    sun_left_out_w: Array
     sun_of_cells_w: Array | None = None
 
     def sun_by_exposure(self, patterns: Patterns) -> Array:
@@ -122,6 +124,7 @@ class Chain:
             backscatter_w=watt * backscatter,
             left_out_w=lit * np.full_like(rendered.light.error, rendered.light.left_out),
             sun_error_w=self._sun_error(rendered),
+            sun_left_out_w=self._sun_left_out(rendered),
             sun_of_cells_w=self._sun_of_cells(rendered),
         )
 
@@ -162,13 +165,18 @@ class Chain:
 
     def _sun_error(self, rendered: "RenderedLight") -> Array:
         """Standard error of that power, (n_detectors,)."""
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        passed = self.sky.sun_at(rendered.part_angles_deg())
-        each = collected * passed * np.broadcast_to(rendered.sun_error, passed.shape)
-        if self.system.optics.is_scanned:  # of one exposure, root mean square
+        return np.sqrt(self._of_exposure((self.sun_weight(rendered) * rendered.sun_error) ** 2))
+
+    def _sun_left_out(self, rendered: "RenderedLight") -> Array:
+        """Bound of what is left out of that power, (n_detectors,)."""
+        return self._of_exposure(self.sun_weight(rendered) * rendered.sun_left_out)
+
+    def _of_exposure(self, parts: Array) -> Array:
+        """Sum over the parts of the field that a detector sees in an exposure, in the mean."""
+        if self.system.optics.is_scanned:
             seen = self.system.receiver_share * self.system.patterns.n_cells
-            return np.sqrt(seen * np.mean(each**2, keepdims=True).reshape(1))
-        return np.sqrt(self._of_detectors(each**2))
+            return np.asarray(seen * np.mean(parts, keepdims=True).reshape(1))
+        return self._of_detectors(parts)
 
     def _of_detectors(self, parts: Array) -> Array:
         """Sum of the parts of the field (rows, columns) by detector, (n_detectors,)."""

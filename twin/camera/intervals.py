@@ -129,7 +129,14 @@ def signal_power_interval(capture: Capture) -> Interval:
 
 def background_interval(capture: Capture) -> Interval:
     """Sun in one exposure, electrons."""
-    return _relative(capture.noise.background_e, capture.model_error.background)
+    error = capture.model_error
+    return _relative(capture.noise.background_e, error.background, error.background_systematic)
+
+
+def sun_power_interval(capture: Capture) -> Interval:
+    """Sun on a detector, W."""
+    error = capture.model_error
+    return _relative(capture.background_w, error.background, error.background_systematic)
 
 
 def noise_interval(capture: Capture) -> Interval:

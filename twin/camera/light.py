@@ -54,20 +54,27 @@ def render(
     seed: np.random.SeedSequence,
     mesh_scene: Any = None,
     stage: OpenStage = silently,
+    sun_chain: Chain | None = None,
 ) -> RenderedLight:
-    """Render a scene for a system; ``mesh_scene`` is `mitsuba_scene(scene)`, if already built."""
+    """Render a scene for a system; ``mesh_scene`` is `mitsuba_scene(scene)`, if already built.
+
+    ``sun_chain``: to its noise a tolerance refers for the sun's light; default: the system's own.
+    """
     check_rig(scene, system)
     with stage("scene"):
         problem = light_problem(scene, system, mesh_scene)
     with stage("truth"):
         truth = render_truth(problem.scene, problem.emitter, system.image_shape)
     chain = Chain.of(system, scene.sun)
-    rendered = render_light(problem, chain, truth, fidelity, seed.spawn(2), stage=stage)
+    rendered = render_light(
+        problem, chain, truth, fidelity, seed.spawn(2), stage=stage, sun_chain=sun_chain
+    )
     cosines = incidence_cosines(problem.scene, rendered.emitter, truth.albedo.shape)
     left_out = rendered.light.left_out + _left_out(scene, system, rendered, cosines, fidelity)
     return replace(
         rendered,
         light=replace(rendered.light, left_out=left_out),
+        sun_left_out=_sun_left_out(scene, rendered, fidelity),
         warnings=(*rendered.warnings, *_uncertain(scene, problem, rendered, cosines, fidelity)),
     )
 
@@ -88,6 +95,14 @@ def _left_out(
         shares = shares + bounces_share(rendered.truth.albedo, float(fidelity.max_depth), indirect)
     # An unbounded share of nothing is nothing.
     return np.multiply(shares, light.cells, out=np.zeros_like(light.cells), where=light.cells > 0)
+
+
+def _sun_left_out(scene: Scene, rendered: RenderedLight, fidelity: Fidelity) -> Array | float:
+    """The same of each part of the sun's light, without rounding; to a tolerance it is known."""
+    if fidelity.has_light_tolerance or lie_in_a_plane(item.vertices_m for item in scene.objects):
+        return rendered.sun_left_out
+    share = bounces_share(rendered.truth.albedo, float(fidelity.max_depth), None)
+    return np.multiply(share, rendered.sun, out=np.zeros_like(rendered.sun), where=rendered.sun > 0)
 
 
 def _uncertain(
@@ -124,11 +139,13 @@ def render_light(
     *,
     sun_quality: TracingQuality | None = None,
     sun_problem: LightProblem | None = None,
+    sun_chain: Chain | None = None,
     stage: OpenStage = silently,
 ) -> RenderedLight:
     """Light of emitter and sun, drawn from two seeds; air needs the truth's depth.
 
-    ``chain``: of the system; to its noise a tolerance of the light refers. ``sun_quality``:
+    ``chain``: of the system; to its noise a tolerance of the light refers, for the sun's light to
+    that of ``sun_chain``, if it is given. ``sun_quality``:
     settings of the path tracer for the sun; default: those of ``fidelity``. ``sun_problem``: in
     place of the problem, where the parts of the sun's light have times of their own.
     """
@@ -146,7 +163,9 @@ def render_light(
             _no_light(system), _no_sun(system), truth, problem.emitter, problem.detector
         )
         if fidelity.has_light_tolerance:
-            rendered = with_sun_within(rendered, sun_problem, chain, fidelity, quality, second)
+            rendered = with_sun_within(
+                rendered, sun_problem, sun_chain or chain, fidelity, quality, second
+            )
         else:
             sun = sun_light(sun_problem, sun_shape(system), quality=sun_quality, seed=second)
             rendered = replace(rendered, sun=sun.total, sun_error=sun.standard_error)

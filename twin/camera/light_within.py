@@ -140,7 +140,8 @@ def with_sun_within(
         return np.broadcast_to(error / math.sqrt(parts), light.shape)
 
     # What is left out is off the same way in all parts, whose paths err independently.
-    indirect = problem.largest_indirect(tracer) * math.sqrt(parts)
+    largest_indirect = problem.largest_indirect(tracer)
+    indirect = largest_indirect * math.sqrt(parts)
     # Where no path met the sun, as many that what all of them miss is too little to matter.
     least = float(permitted.sun_error(np.zeros(shape), largest).min(initial=math.inf))
     paths = _MISSED * rendered.sun.size * largest / least if least else math.inf
@@ -156,6 +157,7 @@ def with_sun_within(
         rendered,
         sun=found.light.total,
         sun_error=found.light.standard_error,
+        sun_left_out=0.0 if found.indirect_taken else largest_indirect,
         decisions=(*rendered.decisions, decision),
     )
 

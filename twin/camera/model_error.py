@@ -24,7 +24,8 @@ class ModelError:
 
     ``noise``, ``noise_systematic`` (rows, columns): of the noise of each cell, relative; the same
     for all cells of a detector, since it is that of all light together. ``signal``,
-    ``signal_systematic`` and ``background``: of the mean signal and of the sun's light, relative.
+    ``signal_systematic``, ``background`` and ``background_systematic``: of the mean signal and of
+    the sun's light, relative.
     """
 
     noise: Array
@@ -32,10 +33,11 @@ class ModelError:
     signal: float
     signal_systematic: float
     background: float
+    background_systematic: float
 
 
 #: Of a capture that is told nothing else.
-NO_ERROR = ModelError(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 0.0, 0.0)
+NO_ERROR = ModelError(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 0.0, 0.0, 0.0)
 
 
 def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
@@ -45,16 +47,19 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
     signal = _ratio(np.sqrt(np.sum(power.error_w**2, axis=1)), total_w)
     signal_systematic = _ratio(power.left_out_w.sum(axis=1), total_w)
     background = _ratio(power.sun_error_w, power.sun_w)
+    background_systematic = _ratio(power.sun_left_out_w, power.sun_w)
     by_signal, by_background = _noise_slopes(chain, signal_w, power.sun_w)
     noise = np.hypot(by_signal * signal, by_background * background)
+    noise_systematic = by_signal * signal_systematic + by_background * background_systematic
     ones = np.ones_like(cells_w)
     weight, sun_weight = (_ratio(each, each.sum()) for each in (total_w, power.sun_w))
     return ModelError(
         noise=side_by_side(noise[:, None] * ones, system),
-        noise_systematic=side_by_side((by_signal * signal_systematic)[:, None] * ones, system),
+        noise_systematic=side_by_side(noise_systematic[:, None] * ones, system),
         signal=float(np.linalg.norm(weight * signal)),
         signal_systematic=float(weight @ signal_systematic),
         background=float(np.linalg.norm(sun_weight * background)),
+        background_systematic=float(sun_weight @ background_systematic),
     )
 
 

@@ -70,9 +70,8 @@ class UnitReflectanceLight:
         light = self.emitter_parts.with_reflectance(reflectance)
         sun = self.sun_parts.with_reflectance(reflectance)
         albedo = np.tensordot(reflectance, self.shares, axes=1)
-        left_out = rounding_share(self.cosines).reshape(1, -1)
-        if not self.is_flat:
-            left_out = left_out + bounces_share(albedo, 1, None)
+        bounces = 0.0 if self.is_flat else bounces_share(albedo, 1, None)
+        left_out = rounding_share(self.cosines).reshape(1, -1) + bounces
         cells, image = light.total.reshape(1, -1), light.total.reshape(self.cosines.shape)
         return RenderedLight(
             light=DetectorLight(
@@ -82,6 +81,9 @@ class UnitReflectanceLight:
             ),
             sun=sun.total if self.airlight is None else sun.total + self.airlight,
             sun_error=sun.standard_error,
+            sun_left_out=np.multiply(
+                bounces, sun.total, out=np.zeros_like(sun.total), where=sun.total > 0
+            ),
             truth=Truth(albedo, self.depth_m),
             emitter=self.emitter,
             detector=self.detector,

@@ -40,7 +40,7 @@ class RenderedLight:
     light and paths that the air scattered back. ``emitter``, ``detector``: the devices rendered.
     ``warnings``: uncertainties of the render, with their errors. ``decisions``: of a render to a
     tolerance, which effects it holds, and why. ``sun_error``: standard error of each part of the
-    sun's light.
+    sun's light; ``sun_left_out``: bound of what the render left out of it.
     """
 
     light: DetectorLight
@@ -53,6 +53,7 @@ class RenderedLight:
     warnings: tuple[CaptureWarning, ...] = ()
     decisions: tuple[Decision, ...] = ()
     sun_error: Array | float = 0.0
+    sun_left_out: Array | float = 0.0
 
     def cell_angles_deg(self) -> Array:
         """Angle of incidence at the detector, to its axis, of each cell of the virtual image (rows,

@@ -46,7 +46,12 @@ def light_errors(
         for _ in range(_DRAWS)
     )
     bounded = np.where(np.isfinite(left_out), left_out, 0.0)
-    with_all = with_light(light, light.light.cells + bounded, light.sun) if bounded.any() else None
+    sun = np.where(np.isfinite(light.sun_left_out), light.sun_left_out, 0.0)
+    with_all = (
+        with_light(light, light.light.cells + bounded, light.sun + sun)
+        if bounded.any() or sun.any()
+        else None
+    )
     has_errors = bool(np.any(light.light.error) or np.any(light.sun_error))
     return _intervals(means, light, drawn if has_errors else (), with_all)
 

@@ -123,6 +123,7 @@ def _mirror(power: Powers, patterns: Patterns) -> Powers:
         flipped(power.backscatter_w),
         flipped(power.left_out_w),
         power.sun_error_w[::-1],
+        power.sun_left_out_w[::-1],
     )
 
 

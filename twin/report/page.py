@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from hardware.formatting import json_text, number, quantity_text, setting_text, si
-from twin.accuracy import Interval
 from twin.camera.evaluation import Evaluation
-from twin.camera.intervals import signal_power_interval
+from twin.camera.intervals import signal_power_interval, sun_power_interval
 from twin.camera.view import View
 from twin.errors import InputError
 from twin.optics.hazards import least_margins
@@ -170,7 +169,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
     verdict = evaluation.verdict
     found = noise_found(evaluation)
     rendering = capture.cells_error_e / noise.pixel_noise_e(patterns)
-    intervals, error, sun_w = evaluation.intervals, capture.model_error, capture.background_w
+    intervals = evaluation.intervals
     images = zip(evaluation.reconstructions, evaluation.score_intervals, strict=True)
     named = [f"{image.method}: {score}" for image, score in images]
     return {
@@ -191,7 +190,7 @@ def _summary(evaluation: Evaluation) -> dict[str, str]:
         f"pupil {si(lens.pupil_diameter_m, 'm')}, "
         f"field {number(system.optics.field_of_view_deg.value, 4)}° {lens.outline}",
         "signal on the detector, mean": signal_power_interval(capture).text("W"),
-        "sun on the detector": Interval(sun_w, sun_w * error.background).text("W"),
+        "sun on the detector": sun_power_interval(capture).text("W"),
         "electrons per exposure": f"signal {intervals.signal_e}, sun {intervals.background_e}, "
         f"dark {number(noise.dark_e)}",
         "noise per exposure": f"{intervals.noise_e} e- predicted, "

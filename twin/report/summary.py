@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hardware.formatting import json_text
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
-from twin.camera.intervals import signal_power_interval
+from twin.camera.intervals import signal_power_interval, sun_power_interval
 from twin.camera.verdict import lit_cells
 from twin.camera.view import View
 from twin.errors import InputError
@@ -96,9 +96,8 @@ def _at_equal_time(evaluations: Sequence[Evaluation]) -> Iterator[Figure]:
 def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     """Figures of a camera's capture and of its reconstructions."""
     capture, system, intervals = evaluation.capture, evaluation.system, evaluation.intervals
-    of, noise, error = (system.name,), capture.noise, capture.model_error
+    of, noise = (system.name,), capture.noise
     lens, pixel_noise_e = capture.lens, noise.pixel_noise_e(system.patterns)
-    sun_w = capture.background_w
     of_pixel = pixel_noise_e / noise.total_noise_e if noise.total_noise_e else 0.0
     yield Figure(of, "SNR per pixel, median of the lit cells", "", intervals.snr_median)
     yield Figure(of, "SNR per pixel, best", "", intervals.snr_best)
@@ -109,7 +108,7 @@ def camera_figures(evaluation: Evaluation) -> Iterator[Figure]:
     yield Figure(of, "noise per exposure", "e-", intervals.noise_e)
     yield Figure(of, "noise per pixel", "e-", propagated(lambda e: of_pixel * e, intervals.noise_e))
     yield Figure(of, "signal on the detector, mean", "W", signal_power_interval(capture))
-    yield Figure(of, "sun on the detector", "W", Interval(sun_w, sun_w * error.background))
+    yield Figure(of, "sun on the detector", "W", sun_power_interval(capture))
     exact = (
         ("frame time", "s", system.frame_time_s),
         ("mean power sent out", "W", system.mean_power_w),

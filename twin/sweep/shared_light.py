@@ -1,8 +1,9 @@
 """Light of a study's points: rendered once for all that differ only after it.
 
 With a fixed number of paths, what is rendered does not depend on the sensor's noise. To a tolerance
-it does: the light is then as fine as the point asks whose noise permits the least, so which points
-share a render follows from the study alone, and not from which of them is computed first.
+it does: the light is then as fine as the point asks whose noise permits the least, and the sun's as
+fine as the point asks to whose noise it adds most. So which points share a render follows from the
+study alone, and not from which of them is computed first.
 """
 
 from collections.abc import Mapping
@@ -170,10 +171,27 @@ def _within_all(made: Setup, chains: Mapping[Sensor, Chain]) -> _Shared:
 def _rendered_for(made: Setup, sensor: Sensor, chains: Mapping[Sensor, Chain]) -> _Shared:
     system, sun = sensor
     rendered = render(
-        replace(made.scene, sun=sun), system, fidelity=made.fidelity, seed=light_seed(made)
+        replace(made.scene, sun=sun),
+        system,
+        fidelity=made.fidelity,
+        seed=light_seed(made),
+        sun_chain=_strictest_by_sun(made, chains),
     )
     over = {one: _over(rendered, chain, made.fidelity) for one, chain in chains.items()}
     return _Shared(rendered, over)
+
+
+def _strictest_by_sun(made: Setup, chains: Mapping[Sensor, Chain]) -> Chain:
+    """The sensor that permits the least error of the sun's light: the one to whose noise a given
+    sun adds the largest share, which is the same one in every scene.
+    """
+    wall = _wall(made)
+
+    def permitted(chain: Chain) -> float:
+        error = PermittedError(chain, wall, made.fidelity)
+        return float(error.sun_error(wall.sun, float(wall.sun.max())).min())
+
+    return min(chains.values(), key=permitted)
 
 
 def _strictest_by_a_wall(made: Setup, chains: Mapping[Sensor, Chain]) -> int:
