@@ -73,7 +73,7 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
 
 
 def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(study) -> None:
-    """The quietest sensor, to whose noise the light is rendered, sees no sun at all. Sun and noise of
+    """The quietest sensor, to whose noise the light is rendered, sees no sun. Sun and noise of
     those that share its light are all the same those of many paths, within their intervals. 6 % of
     the yard's sun is indirect.
     """
