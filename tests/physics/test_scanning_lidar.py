@@ -266,6 +266,15 @@ def test_the_capture_says_what_the_vehicle_finds() -> None:
     assert np.median(np.abs(off) / (taken.scene_e / taken.snr)) < 3
 
 
+def test_what_lies_beyond_the_gates_is_named() -> None:
+    """Gates up to 36 m; a wall at 35 m is seen, at 37 m it is not nothing that is there."""
+    quick = Fidelity(samples=4, max_depth=1)
+    assert not twin.capture(wall(35.0), small(), fidelity=quick).void
+    beyond = twin.capture(wall(37.0), small(), fidelity=quick)
+    assert beyond.void
+    assert "beyond the last gate, at 37 m or more" in str(beyond.verdict)
+
+
 def test_lost_exposures_leave_a_hole_in_image_and_distances(tmp_path: Path) -> None:
     taken = twin.capture(wall(), small(), seed=2, fidelity=Fidelity(samples=4, max_depth=1))
     flags = taken.record.flags.copy()

@@ -1,6 +1,7 @@
 """What other processes make in tests; they import this module alone."""
 
 import os
+import signal
 
 from twin.files import InputError
 
@@ -14,3 +15,8 @@ def reciprocal(number: int) -> float:
 
 def dies(number: int) -> None:
     os._exit(1)
+
+
+def leaves_ctrl_c(number: int) -> bool:
+    """Whether this process leaves Ctrl-C to its parent."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])

@@ -202,6 +202,8 @@ def test_requests_out_of_place(world) -> None:
         (ProtocolFrame(0x04, 3, bytes(4)), Refusal.STATE),
         (to_frame(Start(1, 1), 3), Refusal.STATE),
         (ProtocolFrame(0x81, 3, bytes(64)), Refusal.UNKNOWN),
+        (ProtocolFrame(0xC1, 3, b"short"), Refusal.UNKNOWN),
+        (ProtocolFrame(0xFF, 3, b"\x01\xcc"), Refusal.UNKNOWN),
     ):
         answer = ask(request)
         assert isinstance(answer, Refused)

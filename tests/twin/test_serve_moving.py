@@ -1,8 +1,11 @@
 """The moving world behind the camera's protocol: frames of their own instants, late if need be."""
 
 import logging
+import socket
+import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from hardware.drivers.messages import (
     Configure,
     Configured,
     Measurement,
+    Query,
     Start,
     State,
     Status,
@@ -27,7 +31,9 @@ from twin.fidelity import Fidelity
 from twin.scene import load_scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
-from twin.serve.frames import FramesAhead
+from twin.serve.frames import FramesAhead, FramesOfRuns
+from twin.serve.prefetcher import Prefetcher
+from twin.serve.serving import Address, serve_camera
 from twin.system import System, load_system
 
 SYSTEM = load_system("workable").with_(
@@ -44,7 +50,6 @@ class ComputedSlowly(FramesAhead):
         self._takes_s, self._last = takes_s, last
         self._made = [frames(number) for number in range(min(last + 1, 5))]  # not while it answers
         self._next, self._ready_s = 0, time.monotonic() + takes_s
-        self.closed = False
 
     def __next__(self) -> SpiRecord:
         if self._next > self._last:
@@ -54,9 +59,6 @@ class ComputedSlowly(FramesAhead):
 
     def ready(self) -> bool:
         return time.monotonic() >= self._ready_s
-
-    def close(self) -> None:
-        self.closed = True
 
 
 class Host:
@@ -151,5 +153,74 @@ def test_a_run_ends_where_a_trajectory_does(caplog: pytest.LogCaptureFixture) ->
     assert sent[-1].state == State.ARMED
     assert "its trajectories cover 0 to 8 s" in caplog.text
     host.ask(Start(2, 1))
-    assert host.made[0].closed
     assert len(host.made) == 2
+
+
+def test_runs_of_the_same_frames_share_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that stops anywhere is followed by one that begins with frame 0; processes are new
+    where frames are others, or where one has died.
+    """
+    frames = MovingFrames(load_scene("yard"), SYSTEM, 3, QUICK)
+    expected = [frames(number).counts for number in range(3)]
+    begun: list[Prefetcher[SpiRecord]] = []
+
+    class Counted(Prefetcher[SpiRecord]):
+        def __init__(self, make: MovingFrames) -> None:
+            super().__init__(make)
+            begun.append(self)
+
+    monkeypatch.setattr("twin.serve.frames.Prefetcher", Counted)
+    runs = FramesOfRuns()
+    for length in (1, 3, 0, 2):
+        run = runs(MovingFrames(load_scene("yard"), SYSTEM, 3, QUICK))
+        for number in range(length):
+            while not run.ready():
+                time.sleep(0.01)
+            np.testing.assert_array_equal(next(run).counts, expected[number])
+    assert len(begun) == 1
+    run = runs(replace(frames, seed=4))
+    assert len(begun) == 2
+    np.testing.assert_array_equal(next(run).counts, replace(frames, seed=4)(0).counts)
+    begun[-1].close()
+    runs(replace(frames, seed=4))
+    assert len(begun) == 3
+
+
+def test_a_fast_camera_answers_while_it_computes() -> None:
+    """A frame takes seconds; a request in the middle of it has its answer in 100 ms (protocol,
+    section 1), here five times that for a busy machine.
+    """
+    slow = Fidelity(samples=4096, max_depth=1, motion_tolerance=None)
+    device = serve_camera(
+        load_scene("yard"), SYSTEM, Address("127.0.0.1", 0), pace="fast", fidelity=slow
+    )
+    serving = threading.Thread(target=device.run, daemon=True)
+    serving.start()
+    deframer = Deframer()
+    try:
+        with socket.create_connection(("127.0.0.1", int(device.url.rpartition(":")[2]))) as line:
+
+            def ask(message: object) -> object:
+                line.sendall(encode(to_frame(message, 1)))
+                while True:
+                    for frame in deframer.feed(line.recv(4096)):
+                        if frame.tag == 1:
+                            return from_frame(frame)
+
+            configured = ask(Configure(8, 8, 8, 1, 0, 0, 16, 80e-6, 100e-6))
+            assert isinstance(configured, Configured)
+            ask(Arm(configured.table_crc))
+            ask(Start(1, 0))
+            took_s = []
+            for _ in range(10):
+                since = time.monotonic()
+                status = ask(Query())
+                took_s.append(time.monotonic() - since)
+                assert isinstance(status, Status)
+                assert status.state == State.RUNNING
+                time.sleep(0.05)
+            assert np.median(took_s) < 0.1
+            assert max(took_s) < 0.5
+    finally:
+        device.stop()
+        serving.join()

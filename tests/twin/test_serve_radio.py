@@ -346,6 +346,29 @@ class SlowToSend:
         return {}
 
 
+_PRINT_BLOCKED = """
+from items_to_make import leaves_ctrl_c
+from twin.serve.prefetcher import Prefetcher
+if __name__ == "__main__":
+    prefetcher = Prefetcher(leaves_ctrl_c)
+    print([prefetcher(number) for number in range(2)])
+"""
+
+
+def test_ctrl_c_is_left_to_the_parent(tmp_path: Path) -> None:
+    """In a process of its own, whose first child starts the tracker that lifts what is blocked."""
+    (tmp_path / "run.py").write_text(_PRINT_BLOCKED)
+    paths = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "run.py")],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "[True, True]\n", done.stderr
+
+
 def test_a_device_answers_while_its_processes_start() -> None:
     """To start them takes seconds on a busy machine; a driver waits for two."""
     since = time.monotonic()

@@ -20,6 +20,7 @@ from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_s
 from twin.camera.moving_frame import FrameLight
 from twin.camera.noise_draws import NoiseDraws
 from twin.camera.rendered import RenderedLight
+from twin.camera.shutters import farthest_gate_m
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
     ImageVerdict,
@@ -419,6 +420,11 @@ def _no_light(
 ) -> list[CaptureWarning]:
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
         text = "no light of the emitter passes the filter, or it emits none"
+    elif not scene_e.any() and farthest_gate_m(system) < depth_m.min() < np.inf:
+        text = (
+            "no light of the emitter comes back: what is in the field of view lies beyond the last "
+            f"gate, at {depth_m.min():.3g} m or more (time_of_flight.gate_delays_s)"
+        )
     elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
         text = "no light of the emitter comes back: the air transmits none"
     elif not scene_e.any():

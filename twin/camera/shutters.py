@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from hardware.records import Shutter
 from hardware.records.state import ALWAYS_OPEN
@@ -70,3 +71,12 @@ def _gates(tof: TimeOfFlight) -> tuple[ShutterResponse, ...]:
         )
         for delay in tof.gate_delays_s.value
     )
+
+
+def farthest_gate_m(system: System) -> float:
+    """Distance from which on no gate is open for light that comes back; infinite without gates."""
+    ends_s = [
+        one.recorded.gate_delay_s + one.recorded.gate_width_s if one.recorded.gated else math.inf
+        for one in shutters(system)
+    ]
+    return constants.c / 2 * max(ends_s)

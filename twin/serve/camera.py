@@ -56,6 +56,8 @@ _FRAME_EXPOSURES = 64
 #: Interval at which a record that is computed is looked for; frames of a run before it is told that
 #: they are late.
 _LOOK_S, _SETS_BEFORE_TOLD = 0.01, 2
+_FROM_CAMERA = 0x80  # types from here on are those that a camera sends
+_NO_REQUEST = "no request of the protocol"
 _ENOUGH_PATTERNS = 8  # patterns that tell most orders apart
 #: All but complementary, which takes a second detector behind a mirror.
 _MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
@@ -117,7 +119,6 @@ class VirtualCamera:
         chain = Chain.of(system, sun)
         self._adc_bits = chain.front_end.adc_bits
         self._n_shutters = len(chain.shutters)
-        self._run: _CameraRun | None = None
         if system.n_detectors > 255:
             raise InputError(
                 f"{system.name}: {system.n_detectors} detectors, the protocol carries up to 255"
@@ -131,13 +132,12 @@ class VirtualCamera:
 
     def start_up(self) -> None:
         """Switch on or reset: clear all state but the time."""
-        self._close_run()
         self._deframer = Deframer()
         self._state, self._booted = State.IDLE, True
         self._configuration: Configured | None = None
         self._configured_system = self.system
         self._table = UploadedTable()
-        self._run = None
+        self._run: _CameraRun | None = None
         self._mark = Flag.RESET  # on the next exposure
         self._send_message(self._status())
 
@@ -232,6 +232,8 @@ class VirtualCamera:
     def _answer(self, frame: ProtocolFrame) -> Message:
         received_ns = self.clock.now_ns()
         try:
+            if frame.type >= _FROM_CAMERA:
+                raise _RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
             match from_frame(frame):
                 case Identify():
                     return self._identity()
@@ -250,7 +252,7 @@ class VirtualCamera:
                 case Time(host_ns):
                     return TimeReply(host_ns, received_ns, self.clock.now_ns())
                 case _:
-                    raise _RefusedError(Refusal.UNKNOWN, "no request of the protocol")
+                    raise _RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
         except _RefusedError as error:
             return Refused(*error.args)
         except InputError as error:
@@ -389,17 +391,11 @@ class VirtualCamera:
         if self._run is None or number != self._run.number:
             if self._state != State.ARMED:
                 raise _RefusedError(Refusal.STATE, "Start: arm first")
-            self._close_run()
             self._run = _CameraRun(
                 number, sets, self.clock.now_ns(), self._records(self._configured_system)
             )
             self._state, self._booted = State.RUNNING, False
         return self._status()
-
-    def _close_run(self) -> None:
-        """End what computes the records of the run before."""
-        if self._run is not None and isinstance(self._run.records, FramesAhead):
-            self._run.records.close()
 
     def _stop(self) -> Status:
         if self._state == State.RUNNING:

@@ -10,6 +10,8 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -35,11 +37,13 @@ class Prefetcher(Generic[_Item]):
     """
 
     def __init__(self, make: Callable[[int], _Item]) -> None:
-        self._closed = False
+        self._closed = self._died = False
         self._failure = ""
         count = min(_MOST_PROCESSES, os.cpu_count() or 1)
         pipes = [_SPAWN.Pipe() for _ in range(count)]
         self._lines: list[Connection] = [ours for ours, _ in pipes]
+        self._asked = list(range(count))  # what each line computes, or has computed
+        self._given_up = [0] * count  # items before it that nobody waits for any more
         for number, line in enumerate(self._lines):
             line.send(number)
         # To start a process takes seconds on a busy machine, and a device has to answer meanwhile.
@@ -47,7 +51,9 @@ class Prefetcher(Generic[_Item]):
         threading.Thread(target=self._start, args=(make, ends), daemon=True).start()
 
     def _start(self, make: Callable[[int], _Item], ends: list[Connection]) -> None:
-        # Ctrl-C goes to all processes of a terminal: it is left to this one.
+        # Ctrl-C goes to all processes of a terminal: it is left to this one. The tracker is started
+        # first, since it lifts what is blocked.
+        resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         for theirs in ends:
             try:
@@ -62,11 +68,17 @@ class Prefetcher(Generic[_Item]):
 
         Raises InputError as ``make`` does, EngineError for all other errors.
         """
-        line = self._lines[number % len(self._lines)]
+        place = number % len(self._lines)
+        line = self._lines[place]
         try:
+            for _ in range(self._given_up[place]):
+                line.recv()
+            self._given_up[place] = 0
             item, error = line.recv()
-            line.send(number if error else number + len(self._lines))
+            self._asked[place] = number if error else number + len(self._lines)
+            line.send(self._asked[place])
         except (EOFError, OSError):
+            self._died = True
             raise EngineError(f"the process that computes it has died{self._failure}") from None
         if error:
             raise error
@@ -74,7 +86,26 @@ class Prefetcher(Generic[_Item]):
 
     def ready(self, number: int, timeout_s: float) -> bool:
         """Whether an item is ready, or has failed, within a time."""
-        return self._lines[number % len(self._lines)].poll(timeout_s)
+        place = number % len(self._lines)
+        line = self._lines[place]
+        with suppress(EOFError, OSError):  # it has died, which the request tells
+            while self._given_up[place] and line.poll(timeout_s):
+                line.recv()
+                self._given_up[place] -= 1
+        return not self._given_up[place] and line.poll(timeout_s)
+
+    def begin_again(self) -> bool:
+        """Request items from 0 on again, of the same processes; False where one has died."""
+        for place, line in enumerate(self._lines):
+            if self._asked[place] == place:
+                continue
+            try:
+                line.send(place)
+            except OSError:
+                return False
+            self._asked[place] = place
+            self._given_up[place] += 1
+        return not self._died
 
     def close(self) -> None:
         """End the processes; any number of times. No item can be requested afterwards."""

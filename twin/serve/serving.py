@@ -4,7 +4,6 @@ import ipaddress
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
@@ -19,7 +18,7 @@ from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock, Pace
 from twin.serve.configuration import settings_of
 from twin.serve.faults import CameraFaults, RadioFaults, parse_faults
-from twin.serve.frames import FramesAhead
+from twin.serve.frames import FramesOfRuns
 from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
@@ -162,11 +161,11 @@ def serve_camera(
         write_settings(settings_of(design), settings)
     if moves(scene):
         MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
+        ahead = FramesOfRuns()
 
         def records(asked: System) -> Iterator[SpiRecord]:
             now = scene.after(world.begin()) if world else scene
-            frames = MovingFrames(now, asked, seed, fidelity)
-            return map(frames, count()) if pace == "fast" else FramesAhead(frames)
+            return ahead(MovingFrames(now, asked, seed, fidelity))
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
