@@ -150,6 +150,8 @@ class _LogReader:
         for kind, at, length in self._heads():
             whole = at + length <= self._size
             if kind == Opcode.FOOTER and whole:
+                if not self._index_matches(at, length):
+                    self._note("its index is damaged")
                 finished = True
                 break
             if not whole:
@@ -267,11 +269,22 @@ class _LogReader:
         expected = int.from_bytes(self._body(at, length)[:4], "little")
         if not expected:
             return True
-        self._file.seek(0)
-        crc, left = 0, at - 9
-        while left and (part := self._file.read(min(left, 1 << 20))):
+        return self._crc(0, at - 9) == expected
+
+    def _index_matches(self, at: int, length: int) -> bool:
+        """Whether the index has the CRC-32 of this footer; 0 stands for none."""
+        body = self._body(at, length)
+        if len(body) < _FOOTER.size:
+            return False
+        begin, _, expected = _FOOTER.unpack_from(body)
+        return not (begin and expected) or self._crc(begin, at + _FOOTER.size - 4) == expected
+
+    def _crc(self, begin: int, end: int) -> int:
+        self._file.seek(min(begin, self._size))
+        crc, left = 0, end - begin
+        while left > 0 and (part := self._file.read(min(left, 1 << 20))):
             crc, left = zlib.crc32(part, crc), left - len(part)
-        return crc == expected
+        return crc
 
     def _indexed(self, at: int, length: int) -> int:
         """Number of messages in an index of a chunk."""
@@ -281,6 +294,8 @@ class _LogReader:
             return 0
 
 
+#: Where the index begins, where its second part does, and CRC-32 of both with these two numbers.
+_FOOTER = struct.Struct("<QQI")
 _WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 
 

@@ -150,6 +150,26 @@ def test_a_message_outside_chunks_is_covered_by_the_crc_of_the_data(tmp_path: Pa
         assert ending.fault == fault
 
 
+def test_a_damaged_index_is_told_and_written_anew(tmp_path: Path) -> None:
+    """All messages are there, but a reader that goes by the index may miss some: any byte of it."""
+    path = tmp_path / "run.mcap"
+    with Log(path) as log:
+        for seed in range(3):
+            log.record("/spi/record", camera_record(seed), host_ns=seed)
+    data = path.read_bytes()
+    assert not list(read_messages(path, ending := Ending()))[6:]
+    assert ending.fault is None
+    footer = len(data) - 8 - 20
+    begin = int.from_bytes(data[footer : footer + 8], "little")
+    for at in np.random.default_rng(0).integers(begin, footer + 20, 30):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
+        assert len(list(read_messages(path, ending := Ending()))) == 6
+        assert ending.fault is not None
+        assert recover(path).kept == 6
+        assert len(list(read_messages(path, ending := Ending()))) == 6
+        assert ending.fault is None
+
+
 def test_another_damaged_original_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     begin, end = of_chunks(path)[1]

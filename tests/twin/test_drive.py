@@ -25,7 +25,7 @@ from twin.camera.mounting import devices
 from twin.camera.truth import render_truth
 from twin.cli import app
 from twin.drive import DeviceClock, Drive, drive
-from twin.drive.log import MARKS
+from twin.drive.log import MARKS, _Output
 from twin.drive.sensors import CameraFrames
 from twin.drive.truth import Mark, ObjectStates
 from twin.drive.truth_samples import TruthSamples
@@ -115,6 +115,18 @@ def test_bytes_damaged_behind_the_last_whole_event_do_not_matter(
     path.write_bytes(data[:1000] + bytes(1000) + data[2000:])
     assert drive(plan(), path).complete
     assert path.read_bytes() == data
+    path.write_bytes(data[:-200] + bytes([data[-200] ^ 4]) + data[-199:])  # in the index
+    assert drive(plan(), path).complete
+    assert path.read_bytes() == data
+
+
+def test_a_full_disk_names_the_log() -> None:
+    """What is in memory goes to the system at the end: the error of it names no file by itself."""
+    output = _Output(Path("/dev/full"))
+    output.write(b"x")
+    with pytest.raises(OSError, match="No space left") as caught:
+        output.close()
+    assert caught.value.filename == "/dev/full"
 
 
 def test_a_drive_that_is_asked_to_end_is_gone_on_with(whole: Path, tmp_path: Path) -> None:

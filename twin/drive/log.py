@@ -232,8 +232,10 @@ class _Output:
     def flush(self) -> None:
         """To the system."""
         if not self.closed:
-            self._file.flush()
+            with naming(self._path):
+                self._file.flush()
 
     def close(self) -> None:
         """The file; what is in memory of an event that is not whole is lost."""
-        self._file.close()
+        with naming(self._path):
+            self._file.close()
