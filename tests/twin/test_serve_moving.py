@@ -1,8 +1,6 @@
 """The moving world behind the camera's protocol: frames of their own instants, late if need be."""
 
 import logging
-import socket
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,7 +14,6 @@ from hardware.drivers.messages import (
     Configure,
     Configured,
     Measurement,
-    Query,
     Start,
     State,
     Status,
@@ -33,7 +30,6 @@ from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
 from twin.serve.frames import FramesAhead, FramesOfRuns
 from twin.serve.prefetcher import Prefetcher
-from twin.serve.serving import Address, serve_camera
 from twin.system import System, load_system
 
 SYSTEM = load_system("workable").with_(
@@ -184,43 +180,3 @@ def test_runs_of_the_same_frames_share_processes(monkeypatch: pytest.MonkeyPatch
     begun[-1].close()
     runs(replace(frames, seed=4))
     assert len(begun) == 3
-
-
-def test_a_fast_camera_answers_while_it_computes() -> None:
-    """A frame takes seconds; a request in the middle of it has its answer in 100 ms (protocol,
-    section 1), here five times that for a busy machine.
-    """
-    slow = Fidelity(samples=4096, max_depth=1, motion_tolerance=None)
-    device = serve_camera(
-        load_scene("yard"), SYSTEM, Address("127.0.0.1", 0), pace="fast", fidelity=slow
-    )
-    serving = threading.Thread(target=device.run, daemon=True)
-    serving.start()
-    deframer = Deframer()
-    try:
-        with socket.create_connection(("127.0.0.1", int(device.url.rpartition(":")[2]))) as line:
-
-            def ask(message: object) -> object:
-                line.sendall(encode(to_frame(message, 1)))
-                while True:
-                    for frame in deframer.feed(line.recv(4096)):
-                        if frame.tag == 1:
-                            return from_frame(frame)
-
-            configured = ask(Configure(8, 8, 8, 1, 0, 0, 16, 80e-6, 100e-6))
-            assert isinstance(configured, Configured)
-            ask(Arm(configured.table_crc))
-            ask(Start(1, 0))
-            took_s = []
-            for _ in range(10):
-                since = time.monotonic()
-                status = ask(Query())
-                took_s.append(time.monotonic() - since)
-                assert isinstance(status, Status)
-                assert status.state == State.RUNNING
-                time.sleep(0.05)
-            assert np.median(took_s) < 0.1
-            assert max(took_s) < 0.5
-    finally:
-        device.stop()
-        serving.join()

@@ -4,6 +4,7 @@ import ipaddress
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
@@ -165,7 +166,8 @@ def serve_camera(
 
         def records(asked: System) -> Iterator[SpiRecord]:
             now = scene.after(world.begin()) if world else scene
-            return ahead(MovingFrames(now, asked, seed, fidelity))
+            frames = MovingFrames(now, asked, seed, fidelity)
+            return map(frames, count()) if pace == "fast" else ahead(frames)
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
