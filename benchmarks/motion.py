@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 
 #: Exposures that are rendered anew, spread over the frame.
 _ANEW = 40
-#: Paths of a cell, direct and indirect, of a render anew; the sun does not count. Of 8 bounces up to
-#: 0.1 of a count's noise is missing.
+#: Paths of a cell, direct and indirect, of a render anew; the sun does not count. With 8 bounces up
+#: to 0.1 of a count's noise is missing.
 _REFERENCE = Fidelity(samples=32**2, max_depth=40, indirect_samples=32**2)
 _NO_SUN = TracingQuality(samples=1, max_depth=1)
 _ACCURACIES = {
