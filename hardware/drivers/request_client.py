@@ -15,6 +15,7 @@ from hardware.drivers.clock import ClockFilter
 from hardware.drivers.framing import Deframer, encode
 from hardware.drivers.link import Link
 from hardware.drivers.messages import (
+    Configure,
     Configured,
     Identity,
     Measurement,
@@ -35,6 +36,8 @@ _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
 
 #: Interval between exchanges of time while measuring.
 _SYNC_PERIOD_S = 1.0
+#: Time that Configure may take a device beyond any other request (protocol, section 1).
+_CONFIGURE_S = 0.9
 #: Interval at which ``over`` is checked while waiting.
 _LOOK_S = 0.1
 
@@ -104,11 +107,12 @@ class RequestClient:
         Raises NoAnswerError, DeviceError, LinkError.
         """
         asked = 0
+        reply_s = self.patience.reply_s + (_CONFIGURE_S if isinstance(request, Configure) else 0.0)
         while asked < self.patience.attempts and not (asked and self.over.is_set()):
             asked += 1
             tag = next(self._tags)
             self._link.write(encode(to_frame(request, tag)))
-            deadline = time.monotonic() + self.patience.reply_s
+            deadline = time.monotonic() + reply_s
             answer: _Expected | None = None
             while answer is None and (left := deadline - time.monotonic()) > 0:
                 for got_tag, message in self._receive(left):
@@ -122,7 +126,7 @@ class RequestClient:
                 return answer
         raise NoAnswerError(
             f"{self.url}: no answer to {type(request).__name__} after "
-            f"{asked} attempts of {self.patience.reply_s:g} s"
+            f"{asked} attempts of {reply_s:g} s"
         )
 
     def status(self) -> Status:

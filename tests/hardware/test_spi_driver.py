@@ -23,11 +23,13 @@ from hardware.drivers.messages import (
     MODE_CODES,
     UPLOADED,
     Configure,
+    Configured,
     Refusal,
     Refused,
     Upload,
     to_frame,
 )
+from hardware.drivers.request_client import RequestClient
 from hardware.drivers.table import table_bytes
 from hardware.records import Flag, QuaternionPose, Shutter
 
@@ -371,6 +373,28 @@ def test_no_line_and_no_answer_are_told_apart(firmware: Any) -> None:
         SpiCamera("no-scheme://x", SETTINGS, patience=brief)
     with pytest.raises(TimeoutError, match="no answer to Identify after 2 attempts"):
         SpiCamera("loop://", SETTINGS, patience=brief)
+
+
+def test_a_device_may_take_a_second_for_configure() -> None:
+    """As the protocol grants it; a request sent again before would find it at the first still."""
+    made = Configured(512, 64, 1, 16384, 1, 80e-6, 100e-6, 1.0, 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            host, _ = server.accept()
+            with host:
+                frame = next(iter(Deframer().feed(host.recv(4096))))
+                time.sleep(0.7)
+                host.sendall(encode(to_frame(made, frame.tag)))
+                host.recv(1)
+
+        device = threading.Thread(target=answer, daemon=True)
+        device.start()
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        client = RequestClient(url, patience=Patience(attempts=1), baud=115200)
+        assert client.ask(Configure(16, 16, 256, 1, 0, 0, 0, 80e-6, 0.0), Configured) == made
+        client.close()
+        device.join()
 
 
 def test_a_busy_device_says_so() -> None:
