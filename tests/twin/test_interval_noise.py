@@ -30,14 +30,14 @@ def small(**changes: object) -> System:
 @pytest.mark.parametrize("n_patterns", [256, 64])
 @pytest.mark.parametrize("snr", [0.01, 1.0, 1000.0])
 def test_scores_with_another_seed_are_within_their_intervals(snr: float, n_patterns: int) -> None:
-    """PSNR and SSIM of three methods over 40 draws, at any signal. The scatter is told from 16
-    draws, to 18 %: a coverage from 83 to 99 % by chance alone. Half the scatter would cover 67 %.
+    """PSNR and SSIM of three methods over 30 draws, at any signal. The scatter is told from 12
+    draws, to 20 %: a coverage from 82 to 99.7 % by chance alone. Half the scatter would cover 67 %.
     """
     system = small(**{"acquisition.n_patterns": n_patterns})
-    drawn = camera_draws(load_scene("table1"), system, snr, 40)
+    drawn = camera_draws(load_scene("table1"), system, snr, 30)
     covered = [coverage(of_seeds) for name, of_seeds in drawn.items() if name != "median SNR"]
-    assert np.mean(covered) >= 0.93
-    assert min(covered) >= 0.8
+    assert np.mean(covered) >= 0.9
+    assert min(covered) >= 0.78
     for name, of_seeds in drawn.items():
         scatter = np.std([interval.value for interval in of_seeds], ddof=1)
         stated = np.mean([interval.noise for interval in of_seeds])
@@ -64,7 +64,9 @@ def test_a_method_of_ones_own_scatters_as_its_error_were_noise() -> None:
     for seed in range(60):
         taken = measure(scene, system, light, rng=np.random.default_rng(seed))
         drawn.append(psnr_interval(taken, hardware.reconstruct(taken.record, own)))
-    assert 0.9 <= coverage(drawn) <= 0.999
+    assert coverage(drawn) >= 0.9
+    scatter = np.std([interval.value for interval in drawn], ddof=1)
+    assert np.mean([interval.noise for interval in drawn]) <= 2.5 * scatter
 
 
 def test_without_noise_there_is_none() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,13 @@ from twin.fidelity import Noise
 
 Array = NDArray[np.float64]
 
+#: Other records of a frame.
+N_DRAWS = 12
 _SEED = 18
 
 
 class NoiseDraws:
-    """Draws of the noise of a captured frame, the same ones at every call."""
+    """Draws of the noise of a captured frame, always the same ones."""
 
     def __init__(
         self,
@@ -45,11 +48,15 @@ class NoiseDraws:
         spread = self._chain.system.emitter.intensity_noise
         return spread.value if spread and self.has_noise else 0.0
 
-    def records(self, n: int) -> Iterator[SpiRecord]:
-        """Records that differ from the frame's in their noise alone."""
+    @cached_property
+    def records(self) -> tuple[SpiRecord, ...]:
+        """`N_DRAWS` records that differ from the frame's in noise alone; none without any."""
+        return tuple(self._drawn()) if self.has_noise else ()
+
+    def _drawn(self) -> Iterator[SpiRecord]:
         rng = np.random.default_rng(_SEED)
         mean_w = self._chain.mean_signal(self._power) if self._mean_w is None else self._mean_w
-        for _ in range(n if self.has_noise else 0):
+        for _ in range(N_DRAWS):
             _, counts, flags = self._chain.measure_frame(
                 self._power, rng=rng, noise=self._noise, mean_w=mean_w, sun_w=self._sun_w
             )

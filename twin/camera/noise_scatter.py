@@ -1,7 +1,7 @@
 """How far another draw of the sensor's noise moves what is made of a record.
 
 The same light is measured some times more, and the same method makes an image of each record. The
-standard deviation of so few scores is itself uncertain, by some 18 %, so that of PSNR is at least
+standard deviation of so few scores is itself uncertain, by some 20 %, so that of PSNR is at least
 what the spectrum of the images' noise makes of it, if that is Gaussian and the same everywhere: the
 sum of squares of noise n with spectrum P about a fixed error b has the variance of 2 sum b n, told
 by the draws, and 2 sum P^2 (P unitary).
@@ -18,13 +18,14 @@ from hardware.reconstruction import Reconstruction
 from hardware.records import SpiRecord
 from twin.camera.acquisition import Capture
 from twin.camera.follows import Follows
+from twin.camera.noise_draws import N_DRAWS
 from twin.camera.score import psnr_db, similarities
 
 Array = NDArray[np.float64]
 
-#: Other draws of the noise; with that of the record itself, the factor by which their scatter is to
-#: be larger so that 1.96 of it hold 95 % of cases (Student's distribution).
-_DRAWS, _FEW = 16, 1.082
+#: Factor by which the scatter of `N_DRAWS` draws and the record itself is to be larger so that 1.96
+#: of it hold 95 % of cases (Student's distribution).
+_FEW = 1.112
 _SEED = 17
 
 
@@ -40,7 +41,7 @@ def scatter_over_noise(
     capture: Capture, here: float, of_record: Callable[[SpiRecord], float]
 ) -> float:
     """Standard deviation of a figure of a record, which is ``here`` of the capture's own."""
-    others = [of_record(record) for record in capture.noise_draws.records(_DRAWS)]
+    others = [of_record(record) for record in capture.noise_draws.records]
     return _scatter([here, *others]) if others else 0.0
 
 
@@ -56,7 +57,7 @@ def scatter_of_scores(capture: Capture, image: Reconstruction) -> ScatterOfScore
     truth, backscatter_e = capture.measured_scene_e, capture.backscatter_e
     own, follows = image.picture - backscatter_e, Follows(capture, image)
     if follows.is_known:
-        records = capture.noise_draws.records(_DRAWS)
+        records = capture.noise_draws.records
         seen = np.stack([own, *(follows.picture(record) - backscatter_e for record in records)])
     else:
         seen = np.stack([own, *(truth + field for field in _fields_like(own - truth))])
@@ -84,7 +85,7 @@ def _scatter_by_spectrum_db(errors: Array) -> float:
 
 
 def _fields_like(error: Array) -> Array:
-    """Random fields (_DRAWS, rows, columns) with the power spectrum of an error."""
+    """Random fields (N_DRAWS, rows, columns) with the power spectrum of an error."""
     amplitude = np.abs(np.fft.fft2(np.nan_to_num(error), norm="ortho"))
-    white = np.random.default_rng(_SEED).standard_normal((_DRAWS, *error.shape))
+    white = np.random.default_rng(_SEED).standard_normal((N_DRAWS, *error.shape))
     return np.asarray(np.fft.ifft2(np.fft.fft2(white) * amplitude).real)
