@@ -30,8 +30,8 @@ def small(**changes: object) -> System:
 @pytest.mark.parametrize("n_patterns", [256, 64])
 @pytest.mark.parametrize("snr", [0.01, 1.0, 1000.0])
 def test_scores_with_another_seed_are_within_their_intervals(snr: float, n_patterns: int) -> None:
-    """PSNR and SSIM of three methods over 30 draws, at any signal. The scatter is told from 12
-    draws, to 20 %: a coverage from 82 to 99.7 % by chance alone. Half the scatter would cover 67 %.
+    """PSNR and SSIM of three methods over 30 draws, at any signal. The scatter is told from 16
+    draws, to 18 %: a coverage from 83 to 99.5 % by chance alone. Half the scatter would cover 67 %.
     """
     system = small(**{"acquisition.n_patterns": n_patterns})
     drawn = camera_draws(load_scene("table1"), system, snr, 30)

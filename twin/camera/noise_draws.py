@@ -14,7 +14,7 @@ from twin.fidelity import Noise
 Array = NDArray[np.float64]
 
 #: Other records of a frame.
-N_DRAWS = 12
+N_DRAWS = 16
 _SEED = 18
 
 

@@ -1,7 +1,7 @@
 """How far another draw of the sensor's noise moves what is made of a record.
 
 The same light is measured some times more, and the same method makes an image of each record. The
-standard deviation of so few scores is itself uncertain, by some 20 %, so that of PSNR is at least
+standard deviation of so few scores is itself uncertain, by some 18 %, so that of PSNR is at least
 what the spectrum of the images' noise makes of it, if that is Gaussian and the same everywhere: the
 sum of squares of noise n with spectrum P about a fixed error b has the variance of 2 sum b n, told
 by the draws, and 2 sum P^2 (P unitary).
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 #: Factor by which the scatter of `N_DRAWS` draws and the record itself is to be larger so that 1.96
 #: of it hold 95 % of cases (Student's distribution).
-_FEW = 1.112
+_FEW = 1.082
 _SEED = 17
 
 
