@@ -24,7 +24,7 @@ from twin.radar.propagation.diffraction.behind_obstacles import Accepted, echoes
 from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of, label_of, summed_by
 from twin.radar.propagation.meshes.grouping import bodies_of
-from twin.radar.propagation.physical_optics import at_antenna, loss_of
+from twin.radar.propagation.physical_optics import at_antenna, followed_everywhere, loss_of
 from twin.radar.propagation.physical_optics_solver import MOST_SHADOWED
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
@@ -119,12 +119,13 @@ class _Solved:
         return both
 
     def echoes(
-        self, depth_db: float, permitted: float, most: int, fineness: float
+        self, everywhere: float, permitted: float, most: int, fineness: float, depth_db: float
     ) -> tuple[Contributions, Array]:
         """Round obstacles, and the errors stated of them, (n_bodies,), in amplitude."""
         obstacles = screens(self.prepared, depth_db, self.body)
         assert obstacles is not None
-        accepted = Accepted(permitted * self.level / loss_of(self.radar), most, fineness)
+        limit = permitted * self.level / loss_of(self.radar)
+        accepted = Accepted(limit, most, fineness, everywhere)
         bodies = np.arange(len(self.names))
         surface = self.prepared.surface_of_object
         found = echoes_behind(obstacles, surface, bodies, self.gain, accepted)
@@ -133,8 +134,8 @@ class _Solved:
 
     def by_default(self) -> tuple[Contributions, Array]:
         """The same as a user gets it."""
-        depth_db = float(np.clip(-20 * np.log10(DEFAULT.radar_tolerance / 3), 20, 40))
-        return self.echoes(depth_db, _PERMITTED, MOST_SHADOWED, 1.0)
+        everywhere, deepest_db = followed_everywhere(DEFAULT), DEFAULT.radar_shadow_db
+        return self.echoes(everywhere, _PERMITTED, MOST_SHADOWED, 1.0, deepest_db)
 
     def over_band(self, echoes: Contributions, frequencies_hz: Array) -> Complex:
         """Of each body, (n_bodies, n_frequencies)."""
@@ -147,7 +148,7 @@ def against_finer_cells(name: str, scene: Scene, radar: RadarDesign) -> Iterator
     solved = _Solved.of(scene, radar)
     band = band_of(radar.ofdm)
     told, stated = solved.by_default()
-    finer, _ = solved.echoes(_FINE_DB, _NOTHING, _MANY, _FINENESS)
+    finer, _ = solved.echoes(0.0, _NOTHING, _MANY, _FINENESS, _FINE_DB)
     echo, truth = (solved.over_band(echoes, band) for echoes in (told, finer))
     for k in np.flatnonzero((solved.own > 0) & (stated > 0)):
         yield Compared(

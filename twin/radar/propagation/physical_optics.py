@@ -40,8 +40,7 @@ from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
-#: Of shadows on bodies, one way, at least and at most.
-_DEEPEST_DB = 20.0, 40.0
+_FOLLOWED = 0.01, 0.1  # amplitude of diffracted waves on bodies, at least and at most
 _ONE_PER_WAVELENGTH = 0.1  # radar_tolerance from which on pieces of edges are a wavelength long
 _FINEST_PIECES = 8.0  # of edges, per wavelength
 _MOST_PIECES = 2_000_000  # of edges that are taken by bounds
@@ -211,8 +210,7 @@ def behind(
     """Echoes of bodies by diffracted paths around others."""
     body = _bodies(prepared)
     bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
-    depth_db = min(fidelity.radar_shadow_db, _deepest_db(fidelity))
-    obstacles = screens(prepared, depth_db, body)
+    obstacles = screens(prepared, fidelity.radar_shadow_db, body)
     if obstacles is None or not len(bodies):
         none = np.zeros(len(accepted.limit))
         return RoundObstacles(Contributions.none(), none, none)
@@ -224,11 +222,11 @@ def behind(
     return echoes_behind(obstacles, prepared.surface_of_object, bodies, gain, accepted)
 
 
-def _deepest_db(fidelity: Fidelity) -> float:
-    """Of shadows on bodies, one way: what is fainter, beside the straight wave, changes less than a
-    third of the tolerance of the echo of a body's brightest part in the light.
+def followed_everywhere(fidelity: Fidelity) -> float:
+    """Of diffracted waves on bodies, one way, over the straight wave: what is fainter changes less
+    than a third of the tolerance of the echo of a body's brightest part in the light.
     """
-    return float(np.clip(-20 * np.log10(fidelity.radar_tolerance / 3), *_DEEPEST_DB))
+    return float(np.clip(fidelity.radar_tolerance / 3, *_FOLLOWED))
 
 
 def _sharp(prepared: PreparedScene, body: NDArray[np.int32]) -> dict[int, Sharp]:

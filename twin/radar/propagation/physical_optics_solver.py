@@ -40,6 +40,7 @@ from twin.radar.propagation.physical_optics import (
     behind,
     diffracted,
     edge_bounds,
+    followed_everywhere,
     loss_of,
     scattered,
     surface_clutter,
@@ -353,6 +354,7 @@ def _round_obstacles(
         limit=(1.0 if most is None else _NOTHING) * levels.permitted * levels.reference / loss,
         most=MOST_SHADOWED if most is None else most,
         fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
+        faintest=followed_everywhere(fidelity),
     )
     found = behind(prepared, radar, fidelity, accepted)
 

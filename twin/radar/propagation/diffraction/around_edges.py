@@ -13,14 +13,15 @@ surfaces.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.outermost import outermost
 from twin.radar.propagation.diffraction.rims import (
+    ONE_EDGE,
     DiffractedPaths,
     consecutive_edges,
     double_edge_paths,
@@ -45,8 +46,6 @@ Indices = NDArray[np.int64]
 
 _PAIRS = 2**20  # of points and edges, at once
 _NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
-#: 1 less the square of the correlation of two edges, below which they count as one: 0.4 dB.
-_ONE_EDGE = 0.02
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
 
@@ -55,7 +54,8 @@ class Screens:
     """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
-    least amplitude of a diffracted path, over the direct wave, that is kept.
+    least amplitude of a diffracted path, over the direct wave, that is kept; ``rims`` are
+    those that were asked for, by obstacle and source.
     """
 
     prepared: PreparedScene
@@ -64,6 +64,7 @@ class Screens:
     centers: Array
     radii: Array
     faintest: float
+    rims: dict[tuple[int, bytes], Outline] = field(default_factory=dict)
 
     @property
     def wavenumber(self) -> float:
@@ -72,16 +73,20 @@ class Screens:
 
     def outline(self, item: int, place: Array) -> Outline:
         """That of an obstacle from a place relative to the anchor."""
-        if not np.array_equal(place, self.prepared.images[0].place):
-            return outline(self.items[item], place + self.prepared.anchor_m)
-        if item not in self._from_radar:
-            self._from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
-        return self._from_radar[item]
+        return outline(self.items[item], place + self.prepared.anchor_m)
 
-    @cached_property
-    def _from_radar(self) -> dict[int, Outline]:
-        """Outlines that were asked for from the radar, by their obstacles."""
-        return {}
+    def rim(self, item: int, source: Array) -> Outline:
+        """Of an obstacle's outline what is on the outline of the body that it is part of, from the
+        radar or an image of it, relative to the anchor.
+        """
+        key = source.tobytes()
+        if (item, key) not in self.rims:
+            is_part = (self.body == self.body[item]) & (self.body >= 0)
+            parts = [item] if self.body[item] < 0 else np.flatnonzero(is_part).tolist()
+            outlines = {part: self.outline(part, source) for part in parts}
+            found = outermost(self.prepared, outlines, source)
+            self.rims.update({(part, key): rim for part, rim in found.items()})
+        return self.rims[item, key]
 
 
 def screens(
@@ -190,7 +195,7 @@ class Segment:
         around them; none of an obstacle that is one of the image's mirrors.
         """
         o = self.obstacles
-        rim = o.outline(item, self.source)
+        rim = o.rim(item, self.source)
         if item in {o.prepared.flats[number].object for number in self.image.patches}:
             return rim.take(np.zeros(0, dtype=np.intp))
         middle = self.seen[rows].mean(axis=0)
@@ -264,16 +269,18 @@ class Segment:
         rim = o.outline(item, middle).from_elsewhere(self.source - middle)
         far = self._over(item, rim, rows, edge_paths)
         edges = np.flatnonzero(np.isfinite(paths.lit_m))
-        i, j = consecutive_edges(paths.take(edges), far)
+        i, j = consecutive_edges(paths.take(edges), far, self.source, self.seen)
         i = edges[i]
         one, other = paths.take(i), far.take(j)
         two, apart, alone = double_edge_paths(
             self.source, self.seen[one.point], one, other, o.wavenumber
         )
-        matters = (apart > _ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
+        matters = (apart > ONE_EDGE) | (~is_open[i] & (one.lit_m <= 0))
         is_open = is_open.copy()
         is_open[i[matters & ~alone[:, 0]]] = False
-        return two.take(matters), other.take(matters & alone[:, 1]), is_open
+        rest = other.take(matters & alone[:, 1])
+        _, once = np.unique(np.stack([rest.point, rest.edge]), axis=1, return_index=True)
+        return two.take(matters), rest.take(once), is_open
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
         turns = self.turns(paths, paths.stops + paths.aside)

@@ -26,7 +26,7 @@ from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
-from twin.radar.propagation.diffraction.unfollowed_waves import unfollowed_waves
+from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.synthesis import Contributions
 
@@ -37,6 +37,7 @@ _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: On waves that are not followed, and error of cells that are computed, of what these change, root
 #: of the sum of squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
 _UNFOLLOWED, _OF_CELLS = 2.0, 0.16
+_DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
 _FINEST_M = 0.01  # cells
 #: Change of the root of the phase q across a cell, near a shadow's border and away from it, at a
@@ -63,22 +64,32 @@ class RoundObstacles:
 @dataclass(frozen=True, eq=False)
 class Accepted:
     """What is left out: amplitudes ``limit`` (n_bodies,) of bodies' echoes that do not count;
-    ``most`` cells are computed; ``fineness``: size of these over that at a tolerance of 0.1.
+    ``most`` cells are computed; ``fineness``: size of these over that at a tolerance of 0.1;
+    ``faintest``: of diffracted waves, over the straight one, that are followed to every cell.
     """
 
     limit: Array
     most: int
     fineness: float
+    faintest: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidates:
-    """Facets of a body in cells, and what waves over edges change in each cell, (n_cells,)."""
+    """Facets of a body in cells, what waves over edges change in each cell, (n_cells,), and the
+    edges, down to the level that is followed there.
+    """
 
     body: int
+    obstacles: Screens
     facets: Facets
     change: Array
     cells: Cells
+
+    def take(self, which: NDArray[np.bool_]) -> "_Candidates":
+        """Only those in some of the cells."""
+        facets, cells = self.facets.of_cells(which), self.cells.take(which)
+        return _Candidates(self.body, self.obstacles, facets, self.change[which], cells)
 
 
 def echoes_behind(
@@ -90,48 +101,85 @@ def echoes_behind(
 ) -> RoundObstacles:
     """Echoes of some ``bodies`` whose forward path, return path or both are diffracted.
 
-    ``gain`` of directions (n, 3) in the world, of both antennas, in amplitude.
+    ``gain`` of directions (n, 3) in the world, of both antennas, in amplitude. The faintest wave of
+    ``obstacles`` is followed to those cells where it counts.
     """
     bound, left_out, unfollowed = (np.zeros(len(accepted.limit)) for _ in range(3))
+    everywhere = replace(obstacles, faintest=max(accepted.faintest, obstacles.faintest))
     candidates = []
     for body in bodies.tolist():
-        facets = front_facets(obstacles, body)
-        if not len(facets):
-            continue
         limit = accepted.limit[body]
-        facets = facets.divided(np.full(len(facets), _COARSE_M))
-        facets, is_lit = _seen(obstacles, in_voxels(facets, np.full(1, _COARSE_M)), body)
+        facets, is_lit = _coarse(obstacles, body)
         if not len(facets):
             continue
-        cells = cells_of(obstacles, facets, body)
-        change = _change(obstacles, facets, cells, gain, is_lit)
-        bound[body] = _SURE * np.linalg.norm(change)
-        other_way = np.where(is_lit, 2, np.minimum(cells.level, 1))
+        cells = cells_of(everywhere, facets, body)
         strength = _strength(obstacles, facets, gain)
-        unfollowed[body] = unfollowed_waves(obstacles, facets, body, strength, other_way)
-        if bound[body] <= limit:
-            left_out[body] = bound[body]
-            continue
-        for part in (_AWAY, _NEAR_BORDER):
-            is_taken = _taken(change, limit / 4, accepted.most)
-            left_out[body] += np.linalg.norm(change[~is_taken])
-            facets = facets.of_cells(is_taken)
-            facets = _in_finer_cells(facets, cells.take(is_taken), part, accepted.fineness)
-            facets, is_lit = _seen(obstacles, facets, body)
-            if not len(facets):
-                break
-            cells = cells_of(obstacles, facets, body)
-            change = _change(obstacles, facets, cells, gain, is_lit)
-        else:
-            candidates.append(_Candidates(body, facets, change, cells))
-    echoes, of_cells = _contributions(obstacles, surface_of_object, candidates, accepted, left_out)
+        other_way = np.where(is_lit, 2, np.minimum(cells.level, 1))
+        faint = faint_waves(everywhere, facets, body, strength, other_way)
+        is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most)
+        is_deep &= obstacles.faintest < everywhere.faintest
+        followed = np.where(is_deep, obstacles.faintest, everywhere.faintest)
+        unfollowed[body] = faint.of_body(followed)
+        change = _change(everywhere, facets, cells, gain, is_lit)
+        found = [_Candidates(body, everywhere, facets, change, cells).take(~is_deep)]
+        if is_deep.any():
+            deep = facets.of_cells(is_deep)
+            found.append(_candidates(obstacles, deep, body, gain, is_lit[is_deep]))
+        bound[body] = _SURE * np.linalg.norm(np.concatenate([one.change for one in found]))
+        candidates += found
+    rows = [one for one in candidates if bound[one.body] > accepted.limit[one.body]]
+    is_below = bound <= accepted.limit
+    left_out[is_below] = bound[is_below]
+    finer = [_finer(one, gain, accepted, left_out) for one in rows]
+    finer = [one for one in finer if len(one.facets)]
+    echoes, of_cells = _contributions(surface_of_object, finer, accepted, left_out)
     # Independent of each other.
     parts = _UNFOLLOWED * unfollowed, left_out, of_cells
     return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0))
 
 
-def _contributions(
+def _coarse(obstacles: Screens, body: int) -> tuple[Facets, NDArray[np.bool_]]:
+    """Facets of a body that it does not hide itself, in cells, and which of these are in part in
+    the light, (n_cells,).
+    """
+    facets = front_facets(obstacles, body)
+    if not len(facets):
+        return facets, np.zeros(0, dtype=bool)
+    facets = facets.divided(np.full(len(facets), _COARSE_M))
+    return _seen(obstacles, in_voxels(facets, np.full(1, _COARSE_M)), body)
+
+
+def _candidates(
     obstacles: Screens,
+    facets: Facets,
+    body: int,
+    gain: Callable[[Array], Array],
+    is_lit: NDArray[np.bool_],
+) -> _Candidates:
+    cells = cells_of(obstacles, facets, body)
+    change = _change(obstacles, facets, cells, gain, is_lit)
+    return _Candidates(body, obstacles, facets, change, cells)
+
+
+def _finer(
+    one: _Candidates, gain: Callable[[Array], Array], accepted: Accepted, left_out: Array
+) -> _Candidates:
+    """Those that count in cells as small as edges near them ask for; the rest is added to
+    ``left_out``.
+    """
+    for part in (_AWAY, _NEAR_BORDER):
+        is_taken = _taken(one.change, accepted.limit[one.body] / 4, accepted.most)
+        left_out[one.body] += np.linalg.norm(one.change[~is_taken])
+        facets = one.facets.of_cells(is_taken)
+        facets = _in_finer_cells(facets, one.cells.take(is_taken), part, accepted.fineness)
+        facets, is_lit = _seen(one.obstacles, facets, one.body)
+        if not len(facets):
+            return replace(one, facets=facets)
+        one = _candidates(one.obstacles, facets, one.body, gain, is_lit)
+    return one
+
+
+def _contributions(
     surface_of_object: NDArray[np.uint32],
     candidates: list[_Candidates],
     accepted: Accepted,
@@ -152,11 +200,12 @@ def _contributions(
         is_taken = _taken(one.change, limit / 4, most) & (one.change > least * limit)
         left_out[one.body] += np.linalg.norm(one.change[~is_taken])
         changed = np.linalg.norm(one.change[is_taken])
-        of_cells[one.body] = _OF_CELLS * accepted.fineness * changed
+        error = _OF_CELLS * accepted.fineness * changed
+        of_cells[one.body] = np.hypot(of_cells[one.body], error)
         if is_taken.any():
             facets, cells = one.facets.of_cells(is_taken), one.cells.take(is_taken)
-            facets = _in_small_parts(obstacles, facets, cells, accepted.fineness)
-            parts.append(cell_echoes(obstacles, facets, one.body, surface_of_object))
+            facets = _in_small_parts(one.obstacles, facets, cells, accepted.fineness)
+            parts.append(cell_echoes(one.obstacles, facets, one.body, surface_of_object))
     return Contributions.concatenate(parts), of_cells
 
 

@@ -78,8 +78,9 @@ class Bends:
         first, last = diffracted.stops.swapaxes(0, 1)
         is_twice = (first != last).any(axis=1)[:, None]
         is_edge = (diffracted.along != 0).any(axis=1)[:, None]
-        aside = diffracted.aside[:, 0]
-        lit = aside / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-300)
+        lit = np.cross(diffracted.along, last - source)
+        lit *= np.sign(np.sum(lit * diffracted.aside[:, 0], axis=1))[:, None]
+        lit /= np.maximum(np.linalg.norm(lit, axis=1, keepdims=True), 1e-300)
         count = len(known) - len(last)
         return replace(
             paths,

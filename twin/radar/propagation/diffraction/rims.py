@@ -19,9 +19,11 @@ Indices = NDArray[np.int64]
 
 _NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an edge's end is left out
 #: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it.
-_BESIDE = 0.05
+BESIDE = 0.05
 _MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
 _MERGED_PLACE_M = 0.1  # 1 degree from 6 m off
+#: 1 less the square of the correlation of two edges, below which they count as one: 0.4 dB.
+ONE_EDGE = 0.02
 _ALIGNED = 0.9  # cosine from which two edges count as parallel, one behind the other
 
 
@@ -169,7 +171,12 @@ def _edge_paths(rim: Outline, pairs: _Pairs) -> DiffractedPaths:
     sign = np.where(pairs.lit_m[some] > 0, -1, 1)
     amplitude = sign * knife_edge_factor(pairs.q[some])
     lit_m = (pairs.lit_m * depth)[some]
-    return _paths_by(rim, pairs, some, place, pairs.q, along, amplitude, lit_m)
+    # Next to an end, where another rim may begin, the light is between both.
+    to_end = np.stack([pairs.at, length - pairs.at], axis=1)
+    end = to_end.argmin(axis=1)
+    is_next = to_end.min(axis=1) < _beside_m(rim, pairs, place)
+    aside = np.where(is_next[:, None], rim.aside[pairs.edge, end], rim.lit[pairs.edge])
+    return _paths_by(rim, pairs, some, place, pairs.q, along, aside, amplitude, lit_m)
 
 
 def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
@@ -188,7 +195,8 @@ def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> Diffra
     turn = np.where(pairs.lit_m[some] > 0, 1, -1) * np.where(inwards[some] > 0, 1, -1)
     amplitude = turn * missing_edge_factor(pairs.q[some], p[some])
     none, far = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
-    paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, amplitude, far)
+    aside = rim.aside[pairs.edge, end]
+    paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, aside, amplitude, far)
     return replace(paths, item=rim.corner[pairs.edge[some], end])
 
 
@@ -199,13 +207,12 @@ def _paths_by(
     place: Array,
     radians: Array,
     along: Array,
+    into_light: Array,
     amplitude: NDArray[np.complex128],
     lit_m: Array,
 ) -> DiffractedPaths:
     """Some of the pairs as paths, each by way of a place."""
-    there, back = (np.linalg.norm(x, axis=1)[some] for x in (place, pairs.direct - place))
-    zone = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
-    aside = _BESIDE * zone[:, None] * rim.lit[pairs.edge[some]]
+    aside = (_beside_m(rim, pairs, place)[:, None] * into_light)[some]
     return DiffractedPaths(
         point=pairs.point[some],
         item=np.zeros(len(some), dtype=np.int64),
@@ -219,19 +226,23 @@ def _paths_by(
     )
 
 
+def _beside_m(rim: Outline, pairs: _Pairs, place: Array) -> Array:
+    """How far from a place on an obstacle a path passes by it."""
+    there, back = (np.linalg.norm(x, axis=1) for x in (place, pairs.direct - place))
+    zone: Array = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
+    return np.minimum(BESIDE * zone, rim.room_m[pairs.edge] / 2)
+
+
 def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:
     """Paths over the ends of edges that meet in one corner, added up."""
     corners = int(ends.item.max(initial=0)) + 1
     _, one, same = np.unique(
         ends.point * corners + ends.item, return_index=True, return_inverse=True
     )
-    amplitude, aside = np.zeros(len(one), dtype=np.complex128), np.zeros((len(one), 2, 3))
+    amplitude = np.zeros(len(one), dtype=np.complex128)
     np.add.at(amplitude, same, ends.amplitude)
-    np.add.at(aside, same, ends.aside)
-    strongest = ends.take(one)
-    aside = _unit(aside) * np.linalg.norm(strongest.aside, axis=-1, keepdims=True)
     none = np.zeros(len(one), dtype=np.int64)
-    return replace(strongest, aside=aside, amplitude=amplitude, item=none)
+    return replace(ends.take(one), amplitude=amplitude, item=none)
 
 
 def merged(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
@@ -272,17 +283,27 @@ def matching_pairs(one: Indices, other: Indices) -> tuple[Indices, Indices]:
     return rows, order[np.repeat(first, count) + within]
 
 
-def consecutive_edges(near: DiffractedPaths, far: DiffractedPaths) -> tuple[Indices, Indices]:
+def consecutive_edges(
+    near: DiffractedPaths, far: DiffractedPaths, source: Array, places: Array
+) -> tuple[Indices, Indices]:
     """Pairs of paths over two parallel edges on the same side of an obstacle, one behind the other:
     one of ``near``, whose edges are seen from the source, and one of ``far``, whose edges are seen
-    from the points. At most one pair for each of ``near``, and none for an edge seen from both.
+    from the points, at ``places`` (n, 3). At most one pair for each of ``near``, and none for an
+    edge seen from both; one of ``far`` that is as good as one of ``near`` has that one alone.
     """
     i, j = matching_pairs(near.point, far.point)
     same = np.zeros(len(near.point), dtype=bool)
     same[i[near.edge[i] == far.edge[j]]] = True
     sides = np.sum(_unit(near.aside[i, 0]) * _unit(far.aside[j, 0]), axis=1)
     runs = np.abs(np.sum(near.along[i] * far.along[j], axis=1))
-    rows = np.flatnonzero(~same[i] & (np.minimum(sides, runs) > _ALIGNED))
+    is_aligned = np.minimum(sides, runs) > _ALIGNED
+    stop = near.stops[i, 0]
+    before, behind = (np.linalg.norm(x - stop, axis=1) for x in (source, places[near.point[i]]))
+    between = np.linalg.norm(far.stops[j, 0] - stop, axis=1)
+    is_one = is_aligned & (between * (1 / before + 1 / behind) < ONE_EDGE)
+    has_one = np.zeros(len(far.point), dtype=bool)
+    has_one[j[is_one]] = True
+    rows = np.flatnonzero(~same[i] & is_aligned & (is_one | ~has_one[j]))
     best = np.round(np.minimum(sides, runs)[rows], 2)
     rows = rows[np.lexsort((far.longer_m[j[rows]], -best, i[rows]))]
     first = np.unique(i[rows], return_index=True)[1]

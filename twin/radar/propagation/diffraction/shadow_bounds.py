@@ -71,7 +71,7 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
     gaps = _gaps(obstacles, others, direct, radius)
     is_far = gaps > deepest
     for column in np.flatnonzero(~is_far.all(axis=0)):
-        rim = obstacles.outline(int(others[column]), obstacles.prepared.images[0].place)
+        rim = obstacles.rim(int(others[column]), obstacles.prepared.images[0].place)
         rows = np.flatnonzero(~is_far[:, column])
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(rows) if len(rim.ends) else 0, step):

@@ -1,4 +1,4 @@
-"""Echoes by waves over edges that no ray is sent along, from geometry alone.
+"""Echoes by waves over edges that are too faint to be followed everywhere, from geometry alone.
 
 Of each cell of a body and each edge of other objects whose shortest path to the cell meets it
 between its ends: the knife-edge factor of every facet, with its own phase, and its answer to the
@@ -6,6 +6,8 @@ wave from the edge's direction. Nothing is looked for that blocks a path, so tha
 estimate, not an echo. Facets at nearly one path length add up with their phases; different lengths,
 which the band tells apart, by their powers (Parseval).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +26,40 @@ _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 
 
-def unfollowed_waves(
-    obstacles: Screens, facets: Facets, body: int, strength: Array, other_way: Array
-) -> float:
-    """Amplitude, rms over the band, of a body's echoes by edges too far from the straight paths for
-    rays to be sent along: waves below the faintest that are followed.
+@dataclass(frozen=True, eq=False)
+class FaintWaves:
+    """Echoes of facets in ``cells`` by waves over edges, (n,): the ``cell``, the ``level`` of the
+    wave over the straight one, the number of the path's ``length``, and the ``echo``.
+    """
+
+    cells: int
+    cell: Indices
+    level: Array
+    length: Indices
+    echo: Complex
+
+    def of_cells(self) -> Array:
+        """Amplitude of every cell by itself, rms over the band, (n_cells,)."""
+        level: Array = np.sqrt(_powers(self.cell, self.length, self.echo, self.cells))
+        return level
+
+    def of_body(self, faintest: Array) -> float:
+        """Amplitude by all waves that are fainter than the faintest that is followed in their cell,
+        (n_cells,); rms over the band.
+        """
+        left = self.level < faintest[self.cell]
+        length, echo = self.length[left], self.echo[left]
+        return float(np.sqrt(_powers(np.zeros_like(length), length, echo, 1)[0]))
+
+
+def faint_waves(
+    obstacles: Screens,
+    facets: Facets,
+    body: int,
+    strength: Array,
+    other_way: Array,
+) -> FaintWaves:
+    """Of a body, all that are fainter than those that obstacles' edges are asked for.
 
     ``strength`` (n,): echo of each facet, were its waves in phase; ``other_way`` (n_cells,): of the
     waves on the other way, over the straight one.
@@ -41,9 +72,9 @@ def unfollowed_waves(
     straight = np.linalg.norm(direct, axis=1)
     back = -direct / straight[:, None]
     k, deepest = obstacles.wavenumber, farthest(obstacles.faintest)
-    lengths, waves = [np.zeros(0)], [np.zeros(0, dtype=complex)]
+    found = [FaintWaves(len(size), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))]
     for item in np.flatnonzero(obstacles.body != body).tolist():
-        rim = obstacles.outline(item, source)
+        rim = obstacles.rim(item, source)
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(center) if len(rim.ends) else 0, step):
             cell, edge = _met(rim, center[first : first + step])
@@ -54,9 +85,12 @@ def unfollowed_waves(
             wave = weight[row] * knife_edge_factor(k * longer)
             wave *= facets.take(row).mean(k * (back[row] + towards))
             length = 2 * straight[row] + longer
-            waves.append(wave * np.exp(-1j * (k * length % (2 * np.pi))))
-            lengths.append(length)
-    return _rms(np.concatenate(lengths), np.concatenate(waves))
+            wave *= np.exp(-1j * (k * length % (2 * np.pi)))
+            number = np.floor(length / _BIN_M).astype(np.int64)
+            level = 1 / np.sqrt(4 * np.pi * k * longer)
+            found.append(FaintWaves(len(size), facets.cell[row], level, number, wave))
+    columns = ([getattr(x, name) for x in found] for name in ("cell", "level", "length", "echo"))
+    return FaintWaves(len(size), *(np.concatenate(column) for column in columns))
 
 
 def _met(rim: Outline, direct: Array) -> tuple[Indices, Indices]:
@@ -93,10 +127,9 @@ def _over(rim: Outline, edge: Indices, direct: Array, straight: Array) -> tuple[
     return longer, towards / np.maximum(distance, 1e-300)[:, None]
 
 
-def _rms(length: Array, wave: Complex) -> float:
-    """Over the band, of waves (n,) by their path lengths."""
-    if not len(wave):
-        return 0.0
-    _, number = np.unique(np.floor(length / _BIN_M).astype(np.int64), return_inverse=True)
-    sums = np.bincount(number, wave.real) + 1j * np.bincount(number, wave.imag)
-    return float(np.linalg.norm(sums))
+def _powers(owner: Indices, length: Indices, wave: Complex, count: int) -> Array:
+    """Of every owner, (count,), of waves (n,): those of one length by their phases."""
+    keys, same = np.unique(np.stack([owner, length]), axis=1, return_inverse=True)
+    same, sums = same.reshape(-1), keys.shape[1]
+    real, imag = (np.bincount(same, part, sums) for part in (wave.real, wave.imag))
+    return np.asarray(np.bincount(keys[0], real**2 + imag**2, count), dtype=np.float64)

@@ -1,6 +1,6 @@
 """Outlines of bodies as seen from a point: edges with all their faces on one side of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,31 @@ class Outline:
 
     ``ends`` (m, 2, 3) are relative to that point; ``edge`` (m,) and ``corner`` (m, 2) number edges
     and their ends, the same from everywhere; ``lit`` (m, 3) is the unit vector across the edge and
-    the line of sight, away from the object.
+    the line of sight, away from the object, and ``aside`` (m, 2, 3) that into the light at its
+    ends, between it and the edges that go on from there; ``room_m`` (m,): how far aside of an edge
+    nothing else of the object is, inf where it is not known.
     """
 
     ends: Array
     edge: Indices
     corner: Indices
     lit: Array
+    aside: Array
+    room_m: Array
+
+    @staticmethod
+    def of(ends: Array, edge: Indices, corner: Indices, lit: Array) -> "Outline":
+        """Of all edges of an outline."""
+        _, number = np.unique(corner, return_inverse=True)
+        number = number.reshape(corner.shape)
+        sums = np.zeros((int(number.max(initial=-1)) + 1, 3))
+        np.add.at(sums, number, lit[:, None])
+        sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
+        return Outline(ends, edge, corner, lit, sums[number], np.full(len(edge), np.inf))
 
     def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
-        return Outline(self.ends[which], self.edge[which], self.corner[which], self.lit[which])
+        return Outline(*(getattr(self, f.name)[which] for f in fields(Outline)))
 
     def from_elsewhere(self, place: Array) -> "Outline":
         """The same edges relative to another point, itself relative to the first."""
@@ -39,7 +53,7 @@ class Outline:
         lit = np.cross(ends[:, 0], ends[:, 1])
         lit *= np.sign(np.sum(lit * self.lit, axis=1, keepdims=True))
         lit /= np.maximum(np.linalg.norm(lit, axis=1, keepdims=True), 1e-300)
-        return Outline(ends, self.edge, self.corner, lit)
+        return Outline.of(ends, self.edge, self.corner, lit)
 
 
 def outline(item: SceneObject, source_m: Array) -> Outline:
@@ -58,4 +72,5 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     lit = -np.sign(balance[on_it])[:, None] * np.cross(ends[:, 0], ends[:, 1])
     length = np.linalg.norm(lit, axis=1)
     seen = length > 1e-12 * size**2  # not end on
-    return Outline(ends[seen], on_it[seen], edges.ends[on_it][seen], lit[seen] / length[seen, None])
+    lit = lit[seen] / length[seen, None]
+    return Outline.of(ends[seen], on_it[seen], edges.ends[on_it][seen], lit)
