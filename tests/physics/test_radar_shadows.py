@@ -146,10 +146,47 @@ def test_behind_a_plate_all_edges_and_corners_add_up(y, z) -> None:
     """By Babinet 1 less the Fresnel integral over the plate, a product; within 1 % of the straight
     wave, mostly the antenna's pattern.
     """
-    root = np.sqrt(1j * BEND)
-    opening = [(erf(root * high) - erf(root * low)) / 2 for low, high in (y, z)]
-    due = (1 - opening[0] * opening[1]) ** 2
-    assert abs(echo(rectangle("plate", y, z)) - due) < 0.01
+    assert abs(echo(rectangle("plate", y, z)) - (1 - opening(y, z)) ** 2) < 0.01
+
+
+def opening(y: tuple[float, float], z: tuple[float, float], near: float = 1 / 6 + 1 / 4) -> complex:
+    """The field behind a hole in a screen, by Fresnel's integral; ``near``: the sum of the inverse
+    distances on both sides.
+    """
+    root = np.sqrt(0.5j * K * near)
+    one, other = ((erf(root * high) - erf(root * low)) / 2 for low, high in (y, z))
+    return complex(one * other)
+
+
+@pytest.mark.parametrize("at", [-0.06, -0.03, -0.01, 0.0, 0.01, 0.02])
+def test_a_rim_within_the_outline_of_its_body_diffracts_nothing(at: float) -> None:
+    """Of two plates 1 cm behind each other in one mesh, one juts out by 3 mm, which is nothing for
+    the wave: 1 less the integral over both together. Counted twice, the rim is off by 0.5.
+    """
+    one, other = (at - 0.3, at), (at - 0.1, at + 0.003)
+    z, within = (-0.4, 0.5), (-0.2, 0.3)
+    plates = [rectangle("plate", one, z), rectangle("plate", other, within, x=6.01)]
+    meshes = [trimesh.Trimesh(p.vertices_m, p.geometry.faces, process=False) for p in plates]
+    mesh = trimesh.util.concatenate(meshes)
+    both = thing("plates", mesh.vertices, mesh.faces, radar="obstacle")
+    common = opening((other[0], one[1]), within)
+    due = (1 - opening(one, z) - opening(other, within) + common) ** 2
+    assert abs(echo(both) - due) < 0.03
+
+
+@pytest.mark.parametrize("y", [0.54, 0.58, 0.6, 0.64, 0.66, 0.68])
+def test_two_posts_of_one_mesh_shade_like_two_posts(y: float) -> None:
+    """1 less the integrals over both, as of flat strips as wide as the posts: these are thick,
+    which is up to 0.15. Where rims of one are taken as second edges of the other's, 0.4 to 0.6.
+    """
+    posts = [trimesh.creation.cylinder(0.05, 1.2, sections=9) for _ in range(2)]
+    for post, place in zip(posts, (0.0, 0.3), strict=True):
+        post.apply_translation([5, place, 0])
+    sides = [5 * (post.vertices[:, 1] / post.vertices[:, 0] - y / 8) for post in posts]
+    strips = [opening((side.min(), side.max()), (-0.6, 0.6), 1 / 5 + 1 / 3) for side in sides]
+    mesh = trimesh.util.concatenate(posts)
+    both = thing("posts", mesh.vertices, mesh.faces, radar="obstacle")
+    assert abs(echo(both, at=point((8, y, 0))) - (1 - sum(strips)) ** 2) < 0.2
 
 
 def test_behind_a_ball_there_is_poissons_spot() -> None:

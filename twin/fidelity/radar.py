@@ -112,17 +112,17 @@ class RadarFidelity(Knobs):
         whose echo they may add more than a tenth of `radar_tolerance`, in pieces of a wavelength,
         from 0.1 of that down to 0.0125 shorter ones, to an eighth.
     radar_shadow_db
-        Depth to which shadows of obstacles are computed on the way to a declared target: what comes
-        round an edge, one way, fainter than this beside the straight wave is lost. 0: shadows
-        are silent and their borders hard, off by 6 to 12 dB in the echo right there and by up to
-        2.7 dB on the lit side.
+        Depth to which shadows of obstacles are computed on the way to a declared target, and to
+        those parts of bodies where so faint a wave may count: what comes round an edge, one way,
+        fainter than this beside the straight wave is lost. 0: shadows are silent and their borders
+        hard, off by 6 to 12 dB in the echo right there and by up to 2.7 dB on the lit side.
     radar_shadowed
         Parts of bodies, 1 to 10 cm in size, that answer over obstacles' edges, all bodies together,
         those that may change the most, down to shadows of 30 dB (at a `radar_tolerance` of 0.1; 40
-        dB at 0.03); 0: on bodies shadows are silent and their borders hard, as above. None: up to
-        1000, of those bodies to whose echo they may add more than a tenth of `radar_tolerance`;
-        what is left out is told of every body. Some 3.6 s of CPU time on the yard, 0.6 s on the
-        street.
+        dB at 0.03), of `radar_shadow_db` where it counts; 0: on bodies shadows are silent and their
+        borders hard, as above. None: up to 1000, of those bodies to whose echo they may add more
+        than a tenth of `radar_tolerance`; what is left out is told of every body. Some 4.2 s of CPU
+        time on the yard.
     radar_table_nodes
         Of a table of physical optics at the level ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms

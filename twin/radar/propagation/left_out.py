@@ -9,7 +9,12 @@ _ALWAYS = (
 
 
 def on_meshes(
-    fidelity: Fidelity, n_objects: int, n_bodies: int, without_edges: int, without_waves: int
+    fidelity: Fidelity,
+    n_objects: int,
+    n_bodies: int,
+    without_edges: int,
+    without_waves: int,
+    too_large: int,
 ) -> tuple[str, ...]:
     """Whether edges and waves round obstacles are in the echoes of meshes.
 
@@ -23,6 +28,8 @@ def on_meshes(
         That scatter.
     without_edges, without_waves
         Bodies whose sharp edges, and to which waves round obstacles, were left out by bounds.
+    too_large
+        Bodies to which waves round obstacles were not looked for, since there are too many edges.
     """
     if not n_bodies:
         return ()
@@ -33,6 +40,8 @@ def on_meshes(
         "waves round obstacles": fidelity.radar_shadowed == 0 and several,
         f"waves round obstacles to {without_waves} of {n_bodies} bodies, within the stated "
         "errors": without_waves,
+        f"waves round obstacles to {too_large} of {n_bodies} bodies, too large among so many "
+        "edges, in no stated error": too_large,
         f"waves round obstacles to more than {fidelity.radar_shadowed} parts of bodies": (
             fidelity.radar_shadowed and several
         ),

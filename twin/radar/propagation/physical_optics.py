@@ -213,7 +213,7 @@ def behind(
     obstacles = screens(prepared, fidelity.radar_shadow_db, body)
     if obstacles is None or not len(bodies):
         none = np.zeros(len(accepted.limit))
-        return RoundObstacles(Contributions.none(), none, none)
+        return RoundObstacles(Contributions.none(), none, none, none > 0)
 
     def gain(directions: Array) -> Array:
         both: Array = radar.antenna.gain(directions @ prepared.axes.T)

@@ -140,6 +140,7 @@ def echoes(
                 len(levels.names),
                 edges.n_left_out,
                 round_obstacles.n_left_out(levels),
+                round_obstacles.too_large,
             ),
             *prepared.assumptions,
             *edges.remarks,
@@ -304,12 +305,13 @@ def _levels(
 @dataclass(frozen=True, eq=False)
 class _RoundObstacles:
     """Echoes of bodies round others, without gains; bounds of these and of what is left out of
-    them, in amplitude (n_bodies,), and the time that they took.
+    them, in amplitude (n_bodies,), bodies too large to be looked at, and the time that they took.
     """
 
     echoes: Contributions
     bound: Array
     left_out: Array
+    too_large: int
     cost_s: float
     is_decided: bool
 
@@ -348,7 +350,7 @@ def _round_obstacles(
     nothing = np.zeros(len(levels.names))
     most = fidelity.radar_shadowed
     if most == 0 or len(prepared.world.face_ranges) < 2 or not len(nothing):
-        return _RoundObstacles(Contributions.none(), nothing, nothing, 0.0, most is None)
+        return _RoundObstacles(Contributions.none(), nothing, nothing, 0, 0.0, most is None)
     began_s, loss = perf_counter(), loss_of(radar)
     accepted = Accepted(
         limit=(1.0 if most is None else _NOTHING) * levels.permitted * levels.reference / loss,
@@ -374,6 +376,7 @@ def _round_obstacles(
         found.contributions,
         found.bound * loss,
         found.left_out * loss + mirrored,
+        int(np.count_nonzero(found.too_large)),
         perf_counter() - began_s,
         most is None,
     )

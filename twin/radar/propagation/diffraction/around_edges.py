@@ -54,8 +54,8 @@ class Screens:
     """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
-    least amplitude of a diffracted path, over the direct wave, that is kept; ``rims`` are
-    those that were asked for, by obstacle and source.
+    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar``
+    are outlines that were asked for from there, by obstacle, and ``rims`` by obstacle and source.
     """
 
     prepared: PreparedScene
@@ -64,6 +64,7 @@ class Screens:
     centers: Array
     radii: Array
     faintest: float
+    from_radar: dict[int, Outline] = field(default_factory=dict)
     rims: dict[tuple[int, bytes], Outline] = field(default_factory=dict)
 
     @property
@@ -73,7 +74,11 @@ class Screens:
 
     def outline(self, item: int, place: Array) -> Outline:
         """That of an obstacle from a place relative to the anchor."""
-        return outline(self.items[item], place + self.prepared.anchor_m)
+        if not np.array_equal(place, self.prepared.images[0].place):
+            return outline(self.items[item], place + self.prepared.anchor_m)
+        if item not in self.from_radar:
+            self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
+        return self.from_radar[item]
 
     def rim(self, item: int, source: Array) -> Outline:
         """Of an obstacle's outline what is on the outline of the body that it is part of, from the

@@ -40,6 +40,7 @@ _UNFOLLOWED, _OF_CELLS = 2.0, 0.16
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
 _FINEST_M = 0.01  # cells
+_MOST_PAIRS = 1e8  # of coarse cells of all bodies and edges: some 10 s
 #: Change of the root of the phase q across a cell, near a shadow's border and away from it, at a
 #: tolerance of 0.1.
 _NEAR_BORDER, _AWAY = 0.4, 1.0
@@ -53,12 +54,14 @@ _MOST_M = 0.03
 @dataclass(frozen=True, eq=False)
 class RoundObstacles:
     """Contributions of bodies by diffracted paths, without gains; and of every body, (n_bodies,) in
-    amplitude, the ``bound`` of these, and of what is ``left_out``.
+    amplitude, the ``bound`` of these, and of what is ``left_out``; and which are too large, among
+    too many edges, to be looked at.
     """
 
     contributions: Contributions
     bound: Array
     left_out: Array
+    too_large: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +110,8 @@ def echoes_behind(
     bound, left_out, unfollowed = (np.zeros(len(accepted.limit)) for _ in range(3))
     everywhere = replace(obstacles, faintest=max(accepted.faintest, obstacles.faintest))
     candidates = []
-    for body in bodies.tolist():
+    too_large = _too_large(obstacles, bodies, len(bound))
+    for body in bodies[~too_large[bodies]].tolist():
         limit = accepted.limit[body]
         facets, is_lit = _coarse(obstacles, body)
         if not len(facets):
@@ -135,7 +139,20 @@ def echoes_behind(
     echoes, of_cells = _contributions(surface_of_object, finer, accepted, left_out)
     # Independent of each other.
     parts = _UNFOLLOWED * unfollowed, left_out, of_cells
-    return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0))
+    return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0), too_large)
+
+
+def _too_large(obstacles: Screens, bodies: Indices, count: int) -> NDArray[np.bool_]:
+    """Bodies, (count,), for whose cells and the edges around there is no time: in cities."""
+    source = obstacles.prepared.images[0].place
+    edges = sum(len(obstacles.outline(item, source).ends) for item in range(len(obstacles.items)))
+    area = np.zeros(count)
+    for body in bodies.tolist():
+        area[body] = np.linalg.norm(front_facets(obstacles, body).across, axis=1).sum()
+    order = np.argsort(area, kind="stable")
+    is_too_large = np.zeros(count, dtype=bool)
+    is_too_large[order] = np.cumsum(area[order]) / _COARSE_M**2 * edges > _MOST_PAIRS
+    return is_too_large
 
 
 def _coarse(obstacles: Screens, body: int) -> tuple[Facets, NDArray[np.bool_]]:

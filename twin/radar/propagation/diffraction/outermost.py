@@ -22,11 +22,13 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
+_MOST_PIECES = 256, 2**15  # of an edge, and of a body
 _BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
 _ON = 1e-5  # of a way, by which rays go on behind a body that does not count
 #: How far aside rays look at most, of the same root, and at how many distances.
 _WIDEST, _STEPS = 0.1, 4
 _MEET = 3.0  # pieces: angle between two ends of rims where one passes below the other
+_AROUND = 8  # pieces next to each, that may be on one line of sight with it
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
 
 
@@ -65,7 +67,9 @@ def _pieces(rim: Outline, wavelength_m: float) -> tuple[Outline, Indices, Indice
     """Short pieces of edges; of each the edge and its number there; and of edges how many."""
     side = rim.ends[:, 1] - rim.ends[:, 0]
     size = _piece_m(rim.ends.mean(axis=1), wavelength_m)
-    count = np.maximum(np.ceil(np.linalg.norm(side, axis=1) / size), 1).astype(np.int64)
+    parts = np.minimum(np.linalg.norm(side, axis=1) / size, _MOST_PIECES[0])
+    parts *= min(_MOST_PIECES[1] / parts.sum(), 1)
+    count = np.maximum(np.ceil(parts), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     return _part(rim, edge, piece / count[edge], (piece + 1) / count[edge]), edge, piece, count
@@ -118,8 +122,13 @@ def _is_behind_another(pieces: Outline, beside_m: Array) -> Flags:
     sight, beside = middle / distance[:, None], beside_m / distance
     side -= np.sum(side * sight, axis=1)[:, None] * sight
     length = np.linalg.norm(side, axis=1) / distance  # as angles
-    pairs = cKDTree(sight).query_pairs(length.max() / 2 + beside.max(), output_type="ndarray")
-    near, far = np.where(distance[pairs[:, :1]] <= distance[pairs[:, 1:]], pairs, pairs[:, ::-1]).T
+    reach = float(np.max(length / 2 + beside, initial=0))
+    around = cKDTree(sight).query(sight, range(1, _AROUND + 1), distance_upper_bound=reach)[1]
+    first, rank = np.nonzero((around < len(sight)) & (around != np.arange(len(sight))[:, None]))
+    pairs = np.stack([first, around[first, rank]], axis=1)
+    # Of two at one place the first is the nearer one.
+    order = np.lexsort((np.arange(len(distance)), distance)).argsort()
+    near, far = np.where(order[pairs[:, :1]] < order[pairs[:, 1:]], pairs, pairs[:, ::-1]).T
     apart = sight[far] - sight[near]
     along = np.abs(np.sum(apart * side[near], axis=1)) / np.linalg.norm(side[near], axis=1)
     across = np.abs(np.sum(apart * pieces.lit[near], axis=1))

@@ -68,11 +68,10 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
     across = np.zeros((count, 3))
     others = np.flatnonzero(obstacles.body != body)
     deepest = np.sqrt(farthest(obstacles.faintest))
-    gaps = _gaps(obstacles, others, direct, radius)
-    is_far = gaps > deepest
-    for column in np.flatnonzero(~is_far.all(axis=0)):
+    beside = are_beside(obstacles, others, direct, radius)
+    for column in np.flatnonzero(beside.any(axis=0)):
         rim = obstacles.rim(int(others[column]), obstacles.prepared.images[0].place)
-        rows = np.flatnonzero(~is_far[:, column])
+        rows = np.flatnonzero(beside[:, column])
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(rows) if len(rim.ends) else 0, step):
             some = rows[first : first + step]
@@ -85,6 +84,19 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
             steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
             aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
     return Cells(level, nearest, steepest, aside, across)
+
+
+def are_beside(
+    obstacles: Screens, others: Indices, direct: Array, radius: Array
+) -> NDArray[np.bool_]:
+    """Whether paths round the bounding spheres of obstacles may be followed to cells at the ends of
+    vectors (n_cells, 3), (n_cells, n).
+    """
+    step = max(_MOST_PAIRS // max(len(others), 1), 1)
+    rows = np.split(np.arange(len(direct)), range(step, len(direct), step))
+    deepest = np.sqrt(farthest(obstacles.faintest))
+    parts = [_gaps(obstacles, others, direct[some], radius[some]) <= deepest for some in rows]
+    return np.concatenate(parts)
 
 
 def _gaps(obstacles: Screens, others: Indices, direct: Array, radius: Array) -> Array:

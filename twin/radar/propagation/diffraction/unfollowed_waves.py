@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.diffraction.around_edges import Screens
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest, matching_pairs
+from twin.radar.propagation.diffraction.shadow_bounds import are_beside
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.meshes.silhouettes import Outline
 
@@ -73,8 +74,12 @@ def faint_waves(
     back = -direct / straight[:, None]
     k, deepest = obstacles.wavenumber, farthest(obstacles.faintest)
     found = [FaintWaves(len(size), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))]
-    for item in np.flatnonzero(obstacles.body != body).tolist():
-        rim = obstacles.rim(item, source)
+    others = np.flatnonzero(obstacles.body != body)
+    radius = np.zeros(len(size))
+    is_near = np.any(are_beside(obstacles, others, center, radius), axis=0)
+    for item, near in zip(others.tolist(), np.atleast_1d(is_near).tolist(), strict=True):
+        # Of those far off the whole outline will do: rays for all of a city take seconds.
+        rim = obstacles.rim(item, source) if near else obstacles.outline(item, source)
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(center) if len(rim.ends) else 0, step):
             cell, edge = _met(rim, center[first : first + step])
@@ -129,7 +134,9 @@ def _over(rim: Outline, edge: Indices, direct: Array, straight: Array) -> tuple[
 
 def _powers(owner: Indices, length: Indices, wave: Complex, count: int) -> Array:
     """Of every owner, (count,), of waves (n,): those of one length by their phases."""
-    keys, same = np.unique(np.stack([owner, length]), axis=1, return_inverse=True)
-    same, sums = same.reshape(-1), keys.shape[1]
-    real, imag = (np.bincount(same, part, sums) for part in (wave.real, wave.imag))
-    return np.asarray(np.bincount(keys[0], real**2 + imag**2, count), dtype=np.float64)
+    first = length.min(initial=0)
+    span = int(length.max(initial=0) - first) + 1
+    keys, same = np.unique(owner * span + (length - first), return_inverse=True)
+    real, imag = (np.bincount(same, part, len(keys)) for part in (wave.real, wave.imag))
+    powers = np.bincount(keys // span, real**2 + imag**2, count)
+    return np.asarray(powers, dtype=np.float64)
