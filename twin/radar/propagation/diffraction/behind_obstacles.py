@@ -130,7 +130,7 @@ def echoes_behind(
             deep = facets.of_cells(is_deep)
             found.append(_candidates(obstacles, deep, body, gain, is_lit[is_deep]))
         bound[body] = _SURE * np.linalg.norm(np.concatenate([one.change for one in found]))
-        candidates += found
+        candidates += [one for one in found if len(one.change)]
     rows = [one for one in candidates if bound[one.body] > accepted.limit[one.body]]
     is_below = bound <= accepted.limit
     left_out[is_below] = bound[is_below]

@@ -24,7 +24,8 @@ Indices = NDArray[np.int64]
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of a body
 _BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
-_ON = 1e-5  # of a way, by which rays go on behind a body that does not count
+#: Of a way, and besides, by which rays go on behind a body that does not count.
+_ON, _ON_M = 1e-5, 1e-4
 #: How far aside rays look at most, of the same root, and at how many distances.
 _WIDEST, _STEPS = 0.1, 4
 _MEET = 3.0  # pieces: angle between two ends of rims where one passes below the other
@@ -95,7 +96,7 @@ def _meets(prepared: PreparedScene, is_part: Flags, source: Array, towards: Arra
         is_there, face, distance = host([hit.is_valid(), hit.prim_index, hit.t], len(rows))
         meets_part = is_there & is_part[objects[np.where(is_there, face, 0)]]
         is_met[rows[meets_part]] = True
-        begin[rows] += np.where(is_there, distance, 0) * (1 + _ON) + _ON
+        begin[rows] += np.where(is_there, distance, 0) * (1 + _ON) + _ON_M
         rows = rows[is_there & ~meets_part]
     return is_met
 
