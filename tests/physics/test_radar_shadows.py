@@ -158,6 +158,33 @@ def opening(y: tuple[float, float], z: tuple[float, float], near: float = 1 / 6 
     return complex(one * other)
 
 
+def of_one_mesh(*parts: SceneObject) -> SceneObject:
+    meshes = [trimesh.Trimesh(p.vertices_m, p.geometry.faces, process=False) for p in parts]
+    mesh = trimesh.util.concatenate(meshes)
+    return thing("parts", mesh.vertices, mesh.faces, radar="obstacle")
+
+
+@pytest.mark.parametrize("y", [0.0, 0.05, 0.25])
+def test_what_an_obstacle_has_behind_the_target_hides_no_rim(y: float) -> None:
+    """A plate before the target and a wall behind it, of one mesh: as the plate alone. With its rim
+    within the wall's outline left out, the target is silent behind it.
+    """
+    near = rectangle("near", (-0.1, 0.1), (-0.15, 0.15))
+    wall = rectangle("wall", (-3, 3), (-3, 3), x=11.0)
+    at = point((10.0, y, 0.02))
+    assert abs(echo(of_one_mesh(near, wall), at=at) - echo(near, at=at)) < 1e-3
+
+
+def test_objects_that_touch_shade_as_one() -> None:
+    """Two plates that overlap, one of them twice: 1 less the integral over what they cover. It is
+    farther off where each has an outline of its own.
+    """
+    one, other, z = (-0.33, -0.03), (-0.13, 0.02), (-0.4, 0.5)
+    plates = [rectangle(name, at, z) for name, at in (("a", one), ("b", other), ("c", other))]
+    due = (1 - opening((one[0], other[1]), z)) ** 2
+    assert abs(echo(*plates) - due) < 0.03
+
+
 @pytest.mark.parametrize("at", [-0.06, -0.03, -0.01, 0.0, 0.01, 0.02])
 def test_a_rim_within_the_outline_of_its_body_diffracts_nothing(at: float) -> None:
     """Of two plates 1 cm behind each other in one mesh, one juts out by 3 mm, which is nothing for
@@ -166,9 +193,7 @@ def test_a_rim_within_the_outline_of_its_body_diffracts_nothing(at: float) -> No
     one, other = (at - 0.3, at), (at - 0.1, at + 0.003)
     z, within = (-0.4, 0.5), (-0.2, 0.3)
     plates = [rectangle("plate", one, z), rectangle("plate", other, within, x=6.01)]
-    meshes = [trimesh.Trimesh(p.vertices_m, p.geometry.faces, process=False) for p in plates]
-    mesh = trimesh.util.concatenate(meshes)
-    both = thing("plates", mesh.vertices, mesh.faces, radar="obstacle")
+    both = of_one_mesh(*plates)
     common = opening((other[0], one[1]), within)
     due = (1 - opening(one, z) - opening(other, within) + common) ** 2
     assert abs(echo(both) - due) < 0.03

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.outermost import outermost
+from twin.radar.propagation.diffraction.outermost import OuterRims, wholes
 from twin.radar.propagation.diffraction.rims import (
     ONE_EDGE,
     DiffractedPaths,
@@ -53,19 +53,21 @@ _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more
 class Screens:
     """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
-    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
-    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar``
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``whole`` (n,) numbers
+    what has one outline; ``faintest`` is the least
+    amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar``
     are outlines that were asked for from there, by obstacle, and ``rims`` by obstacle and source.
     """
 
     prepared: PreparedScene
     items: tuple[SceneObject, ...]
     body: NDArray[np.int32]
+    whole: Indices
     centers: Array
     radii: Array
     faintest: float
     from_radar: dict[int, Outline] = field(default_factory=dict)
-    rims: dict[tuple[int, bytes], Outline] = field(default_factory=dict)
+    rims: dict[tuple[int, bytes], OuterRims] = field(default_factory=dict)
 
     @property
     def wavenumber(self) -> float:
@@ -80,18 +82,17 @@ class Screens:
             self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
         return self.from_radar[item]
 
-    def rim(self, item: int, source: Array) -> Outline:
-        """Of an obstacle's outline what is on the outline of the body that it is part of, from the
-        radar or an image of it, relative to the anchor.
+    def rim(self, item: int, source: Array, reach_m: float) -> Outline:
+        """Of an obstacle's outline what is on the outline of the whole that it is part of, from the
+        radar or an image of it, relative to the anchor, to points so far from there.
         """
         key = source.tobytes()
         if (item, key) not in self.rims:
-            is_part = (self.body == self.body[item]) & (self.body >= 0)
-            parts = [item] if self.body[item] < 0 else np.flatnonzero(is_part).tolist()
+            parts = np.flatnonzero(self.whole == self.whole[item]).tolist()
             outlines = {part: self.outline(part, source) for part in parts}
-            found = outermost(self.prepared, outlines, source)
-            self.rims.update({(part, key): rim for part, rim in found.items()})
-        return self.rims[item, key]
+            whole = OuterRims(self.prepared, outlines, source)
+            self.rims.update({(part, key): whole for part in parts})
+        return self.rims[item, key].up_to(reach_m)[item]
 
 
 def screens(
@@ -105,10 +106,12 @@ def screens(
     if shadow_db <= 0 or not items:
         return None
     boxes = boxes_of(items) - prepared.anchor_m
+    bodies = np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)]
     return Screens(
         prepared=prepared,
         items=items,
-        body=np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)],
+        body=bodies,
+        whole=wholes(prepared, items, bodies),
         centers=boxes.mean(axis=1),
         radii=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2,
         faintest=float(10 ** (-shadow_db / 20)),
@@ -200,12 +203,13 @@ class Segment:
         around them; none of an obstacle that is one of the image's mirrors.
         """
         o = self.obstacles
-        rim = o.rim(item, self.source)
         if item in {o.prepared.flats[number].object for number in self.image.patches}:
-            return rim.take(np.zeros(0, dtype=np.intp))
+            return o.outline(item, self.source).take(np.zeros(0, dtype=np.intp))
         middle = self.seen[rows].mean(axis=0)
+        direct = middle - self.source
+        rim = o.rim(item, self.source, float(np.linalg.norm(direct)))
         reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
-        return rim.take(near_edges(rim, middle - self.source, reach, o.wavenumber, o.faintest))
+        return rim.take(near_edges(rim, direct, reach, o.wavenumber, o.faintest))
 
     def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
         """Vertices of paths from the points to the radar, (m, n, 3); ``edges``: at (n, 2, 3)."""

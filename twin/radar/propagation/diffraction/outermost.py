@@ -2,7 +2,8 @@
 them lies within another part's outline.
 
 Parts of a body overlap, and one folds in front of itself. A rim within the outline of the whole
-diffracts nothing: beside it the body goes on, nearer or farther. Rays decide just beside the rim.
+diffracts nothing: beside it the body goes on, nearer or a little farther. Far behind the rim, or
+behind the point that the wave goes to, it does not matter. Rays decide just beside the rim.
 Of several rims one behind the other, as where the rim of a mesh turns back for a face, one counts.
 Where one rim passes below another both end, and the light is between them.
 """
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.scene import SceneObject
 from twin.transfer import host, vector
 
 Array = NDArray[np.float64]
@@ -24,6 +27,9 @@ Indices = NDArray[np.int64]
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of a body
 _BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
+#: Gap between a rim and what goes on behind it, times the sum of the inverse distances from the
+#: source to the one and from the other to the point: from there on waves pass between both.
+_APART = 0.3
 #: Of a way, and besides, by which rays go on behind a body that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 #: How far aside rays look at most, of the same root, and at how many distances.
@@ -33,27 +39,58 @@ _AROUND = 8  # pieces next to each, that may be on one line of sight with it
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
 
 
-def outermost(
-    prepared: PreparedScene, rims: dict[int, Outline], source: Array
-) -> dict[int, Outline]:
-    """What of the outlines of a body's parts, by object, is on the outline of the whole, seen from
-    a source relative to the anchor.
+def wholes(
+    prepared: PreparedScene, items: tuple[SceneObject, ...], body: NDArray[np.int32]
+) -> Indices:
+    """Number of what each object has one outline with: its body; of objects without one those that
+    it touches, but for mirrors, which stand alone: a ground touches everything.
     """
-    item = np.repeat(list(rims), [len(rim.ends) for rim in rims.values()])
-    if not len(item):
-        return rims
-    rim = _together(list(rims.values()))
-    pieces, edge, piece, count = _pieces(rim, prepared.wavelength_m)
-    is_part = np.zeros(len(prepared.originals), dtype=bool)
-    is_part[list(rims)] = True
-    beside = _beside_m(pieces.ends.mean(axis=1))
-    room = _room_m(prepared, is_part, pieces, source)
-    kept = room > 0
-    rows = np.flatnonzero(kept)
-    kept[rows[_is_behind_another(pieces.take(rows), beside[rows])]] = False
-    runs, edge = _runs(rim, edge, piece, count, np.where(kept, room, 0.0))
-    runs = _joined(runs, prepared.wavelength_m)
-    return {part: runs.take(np.flatnonzero(item[edge] == part)) for part in rims}
+    whole = len(items) + np.arange(len(items))
+    whole[body >= 0] = body[body >= 0]
+    loose = np.flatnonzero((body < 0) & ~np.isin(np.arange(len(items)), prepared.flats.object))
+    if len(loose):
+        whole[loose] = 2 * len(items) + bodies_of([items[i] for i in loose])
+    return whole
+
+
+class OuterRims:
+    """Of the outlines of a body's parts, by object, what is on the outline of the whole, seen from
+    a source relative to the anchor, by waves that go to points at a distance from it.
+    """
+
+    def __init__(self, prepared: PreparedScene, rims: dict[int, Outline], source: Array) -> None:
+        self._parts, self._wavelength_m = rims, prepared.wavelength_m
+        self._item = np.repeat(list(rims), [len(rim.ends) for rim in rims.values()])
+        self._found: dict[int, dict[int, Outline]] = {}
+        if not len(self._item):
+            return
+        self._rim = _together(list(rims.values()))
+        self._pieces, *edges = _pieces(self._rim, prepared.wavelength_m)
+        self._edge, self._piece, self._count = edges
+        is_part = np.zeros(len(prepared.originals), dtype=bool)
+        is_part[list(rims)] = True
+        self._aside_m, self._from_m = _beside(prepared, is_part, self._pieces, source)
+        self._depths_m = np.unique(self._from_m)
+
+    def up_to(self, reach_m: float) -> dict[int, Outline]:
+        """To points so far from the source: what the body has behind them hides no rim."""
+        if not len(self._item):
+            return self._parts
+        number = int(np.searchsorted(self._depths_m, reach_m))
+        if number not in self._found:
+            self._found[number] = self._outermost(reach_m)
+        return self._found[number]
+
+    def _outermost(self, reach_m: float) -> dict[int, Outline]:
+        room = _room_m(self._aside_m, self._from_m < reach_m)
+        kept = room > 0
+        rows = np.flatnonzero(kept)
+        beside = _beside_m(self._pieces.ends.mean(axis=1))
+        kept[rows[_is_behind_another(self._pieces.take(rows), beside[rows])]] = False
+        room = np.where(kept, room, 0.0)
+        runs, edge = _runs(self._rim, self._edge, self._piece, self._count, room)
+        runs = _joined(runs, self._wavelength_m)
+        return {part: runs.take(np.flatnonzero(self._item[edge] == part)) for part in self._parts}
 
 
 def _together(rims: list[Outline]) -> Outline:
@@ -83,36 +120,57 @@ def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:
     return replace(some, ends=first + np.stack([begin, end], axis=1)[..., None] * side)
 
 
-def _meets(prepared: PreparedScene, is_part: Flags, source: Array, towards: Array) -> Flags:
-    """Whether rays from a source in directions (n, 3) meet any part, however far."""
+def _meets_m(prepared: PreparedScene, is_part: Flags, source: Array, towards: Array) -> Array:
+    """How far from a source rays in directions (n, 3) first meet any part; inf: never."""
     mi, count = prepared.context.mi, len(towards)
     direction = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     objects = prepared.world.object_of_face.astype(np.int64)
-    is_met, rows, begin = np.zeros(count, dtype=bool), np.arange(count), np.zeros(count)
+    met, rows, begin = np.full(count, np.inf), np.arange(count), np.zeros(count)
     while len(rows):
         at = source + begin[rows, None] * direction[rows]
         ray = mi.Ray3f(vector(mi, at, "Point3f"), vector(mi, direction[rows], "Vector3f"))
         hit = prepared.world.scene.ray_intersect_preliminary(ray)
         is_there, face, distance = host([hit.is_valid(), hit.prim_index, hit.t], len(rows))
+        begin[rows] += np.where(is_there, distance, 0)
         meets_part = is_there & is_part[objects[np.where(is_there, face, 0)]]
-        is_met[rows[meets_part]] = True
-        begin[rows] += np.where(is_there, distance, 0) * (1 + _ON) + _ON_M
+        met[rows[meets_part]] = begin[rows[meets_part]]
+        begin[rows] += _ON * np.where(is_there, distance, 0) + _ON_M
         rows = rows[is_there & ~meets_part]
-    return is_met
+    return met
 
 
-def _room_m(prepared: PreparedScene, is_part: Flags, pieces: Outline, source: Array) -> Array:
-    """How far aside of pieces of rims, (n,), the body does not go on: 0 within its outline."""
+def _beside(
+    prepared: PreparedScene, is_part: Flags, pieces: Outline, source: Array
+) -> tuple[Array, Array]:
+    """Distances aside of pieces of rims, and those of points from which on the body goes on there,
+    (n, steps).
+    """
     middle = pieces.ends.mean(axis=1)
     nearest = _beside_m(middle)
     widest = _WIDEST / _PIECE * _piece_m(middle, prepared.wavelength_m)
-    room, rows = np.zeros(len(middle)), np.arange(len(middle))
-    for step in range(_STEPS):
-        off = nearest * np.maximum(widest / nearest, 1) ** (step / (_STEPS - 1))
-        beside = middle[rows] + off[rows, None] * pieces.lit[rows]
-        rows = rows[~_meets(prepared, is_part, source, beside)]
-        room[rows] = off[rows]
-    room[rows] = np.inf
+    share = np.arange(_STEPS) / (_STEPS - 1)
+    off = nearest[:, None] * np.maximum(widest / nearest, 1)[:, None] ** share
+    beside = middle[:, None] + off[..., None] * pieces.lit[:, None]
+    met = _meets_m(prepared, is_part, source, beside.reshape(-1, 3)).reshape(off.shape)
+    return off, _hidden_from_m(np.linalg.norm(middle, axis=1)[:, None], met)
+
+
+def _hidden_from_m(rim_m: Array, met_m: Array) -> Array:
+    """Distance of points from which on a rim counts as hidden by what goes on beside it, both at
+    distances from the source: at once by what is nearer, never by what is far behind.
+    """
+    gap = np.maximum(met_m - rim_m, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        behind = gap / (_APART - gap / rim_m)
+    return np.where(gap < _APART * rim_m, met_m + behind, np.inf)
+
+
+def _room_m(aside_m: Array, is_met: Flags) -> Array:
+    """How far aside of pieces of rims, (n,), the body does not go on: 0 within its outline."""
+    steps = np.where(is_met.any(axis=1), is_met.argmax(axis=1), _STEPS)
+    bounds = np.hstack([np.zeros((len(aside_m), 1)), aside_m])
+    bounds[steps == _STEPS, -1] = np.inf
+    room: Array = np.take_along_axis(bounds, steps[:, None], axis=1)[:, 0]
     return room
 
 

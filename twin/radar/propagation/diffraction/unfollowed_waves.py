@@ -79,7 +79,11 @@ def faint_waves(
     is_near = np.any(are_beside(obstacles, others, center, radius), axis=0)
     for item, near in zip(others.tolist(), np.atleast_1d(is_near).tolist(), strict=True):
         # Of those far off the whole outline will do: rays for all of a city take seconds.
-        rim = obstacles.rim(item, source) if near else obstacles.outline(item, source)
+        rim = (
+            obstacles.rim(item, source, float(np.mean(straight)))
+            if near
+            else obstacles.outline(item, source)
+        )
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(center) if len(rim.ends) else 0, step):
             cell, edge = _met(rim, center[first : first + step])
