@@ -40,6 +40,7 @@ from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
+_DEEPEST_DB = 45.0  # of shadows on bodies, one way, wherever it counts
 _FOLLOWED = 0.01, 0.1  # amplitude of diffracted waves on bodies, at least and at most
 _ONE_PER_WAVELENGTH = 0.1  # radar_tolerance from which on pieces of edges are a wavelength long
 _FINEST_PIECES = 8.0  # of edges, per wavelength
@@ -210,7 +211,7 @@ def behind(
     """Echoes of bodies by diffracted paths around others."""
     body = _bodies(prepared)
     bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
-    obstacles = screens(prepared, fidelity.radar_shadow_db, body)
+    obstacles = screens(prepared, min(fidelity.radar_shadow_db, _DEEPEST_DB), body)
     if obstacles is None or not len(bodies):
         none = np.zeros(len(accepted.limit))
         return RoundObstacles(Contributions.none(), none, none, none > 0)
