@@ -327,16 +327,19 @@ def _open_array(path: Path, n: int) -> "np.memmap[Any, np.dtype[np.float64]]":
     """
     try:
         begun = np.load(path, mmap_mode="r")
-        if begun.shape != (n,) or begun.dtype != np.float64:
-            raise ValueError(f"{path}: {begun.dtype} {begun.shape}, expected float64 {(n,)}")
-        return open_memmap(path, mode="r+")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:
+        fault = str(error)
+    else:
+        is_whole = begun.shape == (n,) and begun.dtype == np.float64
+        fault = "" if is_whole else f"{begun.dtype} {begun.shape}, expected float64 {(n,)}"
+    if fault:
         raise InputError(
-            f"{path}: is damaged ({error}): expected the numbers of {n} points; begin the sweep "
+            f"{path}: is damaged ({fault}): expected the numbers of {n} points; begin the sweep "
             "anew in another folder (--out)"
-        ) from error
+        )
+    return open_memmap(path, mode="r+")
 
 
 def open_sweep(out: str | Path) -> "xarray.Dataset":
