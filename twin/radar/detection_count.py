@@ -2,8 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammainccinv
-from scipy.stats import ncx2
+from scipy.special import chndtr, gammainccinv
 
 from hardware.radar.windows import normalised_window
 from twin.accuracy import Interval
@@ -62,4 +61,4 @@ def _probability(snr_db: Array, evaluation: RadarEvaluation) -> Array:
     freedom = 2 * evaluation.image.n_channels
     losses_db = np.linspace(0.0, _MOST_LOST_DB, 7)[:, None]
     threshold = 10 ** ((threshold_db(evaluation) + losses_db) / 10)
-    return np.asarray(ncx2.sf(freedom * threshold, freedom, freedom * 10 ** (snr_db / 10)))
+    return np.asarray(1 - chndtr(freedom * threshold, freedom, freedom * 10 ** (snr_db / 10)))
