@@ -9,6 +9,9 @@ from scipy.stats import binomtest
 
 from benchmarks.timing import Figure
 
+#: Standard errors of a truth, beyond which an error is not the truth's.
+_SURE = 3.0
+
 
 @dataclass(frozen=True)
 class Cheapest:
@@ -60,8 +63,11 @@ class Judged:
 
     @property
     def is_decided(self) -> bool:
-        """Whether the truth itself is known to within what is stated."""
-        return self.truth_error <= self.stated or not self.true
+        """Whether the truth itself is known to within what is stated, or well enough to say that
+        the error is beyond it.
+        """
+        beyond = self.true > self.stated + _SURE * self.truth_error
+        return self.truth_error <= self.stated or beyond or not self.true
 
     @property
     def over_cheapest(self) -> float:
@@ -92,8 +98,8 @@ class Judged:
 
 
 def summary(what: str, found: Sequence[Judged]) -> Iterator[Figure]:
-    """Coverage with its interval, the worst ratio, and times. Errors where the truth itself is not
-    known to within what is stated are not counted.
+    """Coverage with its interval, the worst ratio, and times. Errors where the truth itself is
+    known too little (`Judged.is_decided`) are not counted.
     """
     everything, found = found, [one for one in found if one.is_decided]
     yield f"{what}: truths too uncertain to count", float(len(everything) - len(found)), "cases"

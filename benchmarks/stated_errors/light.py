@@ -137,7 +137,7 @@ def _truth(case: CameraCase, rendered: RenderedLight, limit_s: float) -> _Truth:
         if exact or spent > limit_s:
             return truth
         if paths == _FEW_PATHS and _PATHS / paths * spent < limit_s:
-            paths = _PATHS  # better stratified
+            paths = _PATHS  # less of the time goes into starting renders
             found.clear()
 
 

@@ -104,15 +104,25 @@ class Chain:
         """Share of the time that the detector is open, by shutter."""
         return np.array([shutter.open_share for shutter in self.shutters])
 
+    def watts(self, passed: Array) -> Array:
+        """Power of each cell of light 1 on its detector, (n_detectors, n_cells), of whose light the
+        filter passes these shares.
+        """
+        intensity = self.system.emitter.radiant_intensity_w_per_sr.value
+        collected = self.lens.transmission * self.lens.pupil_area_m2
+        return np.asarray(intensity * collected * passed * self.gains)
+
+    def passed(self, cell_angle_deg: Array) -> Array:
+        """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
+        return _by_detector(self.sky.emitter_at(cell_angle_deg), self.system)
+
     def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
         system = self.system
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        cell_angle = rendered.cell_angles_deg()
-        passed = _by_detector(self.sky.emitter_at(cell_angle), system)
+        passed = self.passed(rendered.cell_angles_deg())
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
-        watt = system.emitter.radiant_intensity_w_per_sr.value * collected * passed * self.gains
+        watt = self.watts(passed)
         cells = self._through_shutters(rendered.light.cells, rendered.paths)
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)

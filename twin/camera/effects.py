@@ -38,23 +38,30 @@ def decisions_on_effects(
     with time of flight to the light, root mean square over the cells.
     """
     cells = rendered.light.cells
-    if chain.system.time_of_flight:
-        # The noise of all cells and gates would take seconds, for effects that are taken anyway.
-        permitted, limit, tolerance = None, np.full_like(cells, _rms(cells)), 1.0
+    # The noise of all cells and gates would take seconds, for effects that are taken anyway.
+    permitted = None if chain.system.time_of_flight else PermittedError(chain, rendered, fidelity)
+    if permitted is None:
+        each, tolerance, unit = np.full_like(cells, _rms(cells)), 0.0, _OF_LIGHT
     else:
-        permitted = PermittedError(chain, rendered, fidelity)
-        limit, tolerance = permitted.of(cells), permitted.tolerance_of(cells)
+        tolerance, unit = permitted.tolerance_of(cells), permitted.unit
+        each = permitted.unit_of(cells)
 
-    def on_light(effect: str, change: Array, cost_s: float = 0.0) -> Decision:
+    def on_light(effect: str, change: Array, each: Array = each, cost_s: float = 0.0) -> Decision:
         # No change counts nowhere, be it of no light.
-        over = _rms(np.divide(change, limit, out=np.zeros_like(change), where=change > 0))
-        if permitted is None:
-            return Decision("camera", effect, over, 0.0, _OF_LIGHT, True, cost_s)
-        return permitted.decision(effect, (over, LEFT_OUT), tolerance, True, cost_s)
+        over = _rms(np.divide(change, each, out=np.zeros_like(change), where=change > 0))
+        return Decision("camera", effect, over, LEFT_OUT * tolerance, unit, True, cost_s)
 
     found = [_on_pupil(rendered, problem, chain.system)]
-    if (shift := _filter_shift(rendered, chain)) is not None:
-        found.append(on_light(f"the filter's shift with angle, {_ALWAYS}", shift))
+    if chain.system.filter.effective_index is not None and chain.system.emitter.has_lens:
+        passed = chain.passed(rendered.cell_angles_deg())
+        straight = np.full_like(passed, in_band_fraction(chain.system.emitter, chain.system.filter))
+        # As power: through a filter that lets nothing pass at an angle there is no light left to
+        # compare with.
+        change_w = chain.watts(np.abs(straight - passed)) * cells
+        each_w = chain.watts(straight) * each
+        if permitted is not None and fidelity.light_tolerance is not None:
+            each_w = permitted.noise_w(cells)
+        found.append(on_light(f"the filter's shift with angle, {_ALWAYS}", change_w, each_w))
     if (air := problem.air) is not None:
         assert rendered.backscatter is not None  # rendered for a system with air
         depth = scattering_depth(air, rendered.truth.depth_m)
@@ -68,7 +75,7 @@ def decisions_on_effects(
             grown = np.expm1(lost_per_m * np.where(is_seen, path_m, 0.0))
             effect = f"the air's extinction of direct light, {_ALWAYS}"
             found.append(on_light(effect, from_surfaces * grown))
-        found.append(on_light("veil of light that the air scatters back", veil, air_cost_s))
+        found.append(on_light("veil of light that the air scatters back", veil, cost_s=air_cost_s))
         effect = "light that the air scatters into other cells"
         found.append(Decision("camera", effect, depth, THIN, _OF_LIGHT, scatters))
     return (*found, *_on_blur(problem))
@@ -83,22 +90,6 @@ def _on_pupil(rendered: RenderedLight, problem: LightProblem, system: System) ->
     taken = bool(detector.disc_radius_m or detector.pupil_radius_m)
     effect = "the area of the detector's pupil"
     return Decision("camera", effect, bound, FAR**-2, _OF_LIGHT, taken, 0.0 if taken else math.nan)
-
-
-def _filter_shift(rendered: RenderedLight, chain: Chain) -> Array | None:
-    """Change of cells against light that meets the filter at right angles; None where the filter
-    does not shift, or every cell lights the whole field.
-    """
-    system = chain.system
-    if system.filter.effective_index is None or not system.emitter.has_lens:
-        return None
-    passed = chain.sky.emitter_at(rendered.cell_angles_deg())
-    of_cells = np.stack(np.hsplit(passed, system.n_detectors)).reshape(system.n_detectors, -1)
-    straight = in_band_fraction(system.emitter, system.filter)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = rendered.light.cells * np.abs(straight / of_cells - 1)
-    # Through a filter that lets nothing pass at an angle there is no light to compare with.
-    return np.where(of_cells > 0, change, 0.0)
 
 
 def _on_blur(problem: LightProblem) -> list[Decision]:

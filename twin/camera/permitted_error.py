@@ -49,7 +49,7 @@ class PermittedError:
 
     def of(self, cells: Array) -> Array:
         """In the unit of the light of the cells, (n_detectors, n_cells); infinite where no light of
-        a cell passes to the detector.
+        a cell passes to the detector and no cell has any.
         """
         share, relative = self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative
         permitted = np.full(cells.shape, np.inf)
@@ -61,19 +61,24 @@ class PermittedError:
         return permitted
 
     def noise(self, cells: Array) -> Array:
-        """Noise of each pixel, in the unit of the light of the cells; asked again of the same array
-        it is not computed anew.
+        """Noise of each pixel, in the unit of the light of the cells."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.noise_w(cells) / self._unit.error_w)
+
+    def noise_w(self, cells: Array) -> Array:
+        """The same as power on the detector; asked again of the same array it is not computed
+        anew.
         """
         if not (self._last and self._last[0] is cells):
-            self._last[:] = cells, self._noise(cells)
+            self._last[:] = cells, self._noise_w(cells)
         return self._last[1]
 
     @cached_property
     def _last(self) -> list[Array]:
-        """Cells, and their noise."""
+        """Cells, and their noise, W."""
         return []
 
-    def _noise(self, cells: Array) -> Array:
+    def _noise_w(self, cells: Array) -> Array:
         power, chain = self._unit, self.chain
         # Behind a shutter that weights paths by their length light is that of the paths.
         is_plain = [shutter.response is None for shutter in chain.shutters]
@@ -81,8 +86,7 @@ class PermittedError:
         signal = chain.mean_signal(replace(power, cells_w=lit))
         noise_e = cells_noise_e(chain, replace(power, cells_w=lit), signal)
         to_e = chain.front_end.electrons_per_watt * (1 - dark_share(chain.system))
-        with np.errstate(divide="ignore"):
-            return np.asarray(noise_e / (to_e * power.error_w))
+        return np.asarray(noise_e / to_e)
 
     @property
     def tolerance(self) -> float:
@@ -92,11 +96,15 @@ class PermittedError:
 
     def tolerance_of(self, cells: Array) -> float:
         """What these cells may be off by, root mean square, in `unit`."""
-        noise = self.noise(cells)
-        lit = np.isfinite(noise)
-        if self.fidelity.light_tolerance is None or not lit.any():
-            return self.tolerance
-        return _rms(self.of(cells)[lit]) / _rms(noise[lit])
+        unit = self.unit_of(cells)
+        lit = np.isfinite(unit)
+        return _rms(self.of(cells)[lit] / unit[lit]) if lit.any() else self.tolerance
+
+    def unit_of(self, cells: Array) -> Array:
+        """What `unit` names, of each cell, in the unit of the light of the cells."""
+        if self.fidelity.light_tolerance is not None:
+            return self.noise(cells)
+        return np.maximum(cells, cells.mean())
 
     @property
     def unit(self) -> str:
