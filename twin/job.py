@@ -63,7 +63,7 @@ def run(
     fidelity: Accuracy | None = None,
     paths: bool = False,
     sigmf: bool = False,
-    figures: bool = True,
+    figures: bool = False,
     method: str | Method | Solve | None = None,
     detection: str | Detect | None = None,
     command: str | None = None,
@@ -96,8 +96,8 @@ def run(
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
     figures
-        Whether to draw PNG files too: loading Matplotlib and drawing takes longer than all the rest
-        of a report, which has charts of its own.
+        Whether to draw PNG files too, for slides: loading Matplotlib and drawing takes longer than
+        all the rest of a report, which has charts of its own.
     method
         A reconstruction shown beside the bundled ones: a name, a function, ``file.py:function``,
         see `hardware.reconstruct`.

@@ -43,6 +43,8 @@ FILES = {
     "radar.h5",
     "detections.csv",
     "truth.csv",
+}
+PICTURES = {
     *(f"{n}.png" for n in ("headline", "scene", "truth", "reconstruction", "snr", "signal")),
     *(f"{n}.png" for n in ("range_doppler", "radar_cuts")),
 }
@@ -202,13 +204,12 @@ def test_paths_and_sigmf_come_on_request_figures_and_the_radar_can_stay_away(
     tmp_path: Path,
 ) -> None:
     common = {"compare": None, "fidelity": FAST}
-    result = run("table1", out=tmp_path / "a", paths=True, sigmf=True, **common)
-    run("table1", out=tmp_path / "b", radar=None, figures=False, **common)
+    result = run("table1", out=tmp_path / "a", paths=True, sigmf=True, figures=True, **common)
+    run("table1", out=tmp_path / "b", radar=None, **common)
     extra = {"paths.csv", "radar.sigmf-data", "radar.sigmf-meta"}
     radar = {"radar.h5", "detections.csv", "truth.csv"}
-    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES | extra
-    drawn = {name for name in FILES if name.endswith(".png")}
-    assert {path.name for path in (tmp_path / "b").iterdir()} == FILES - radar - drawn
+    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES | PICTURES | extra
+    assert {path.name for path in (tmp_path / "b").iterdir()} == FILES - radar
     # The progress bar counts the stages that there are.
     systems = [one.system for one in result.evaluations]
     names = stage_names(systems, load_radar("hybrid-79"), figures=True)
@@ -248,7 +249,7 @@ ensure_llvm()
 import drjit as dr
 dr.set_thread_count(5)
 import twin
-twin.run("yard", seed=7, out=r"{out}", figures=False)
+twin.run("yard", seed=7, out=r"{out}")
 import sys
 print([name for name in ("matplotlib", "scipy.interpolate") if name in sys.modules])
 """

@@ -16,7 +16,7 @@ from twin.system import load_system
 from twin.trade.pareto import _folder as trade_folder
 
 FAST = Fidelity(samples=1, max_depth=1, radar="targets")
-RADAR = {"radar.h5", "detections.csv", "truth.csv", "range_doppler.png", "radar_cuts.png"}
+RADAR = {"radar.h5", "detections.csv", "truth.csv"}
 
 
 def settings(**changes):

@@ -56,8 +56,8 @@ def run(
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
     sigmf: Annotated[bool, typer.Option("--sigmf", help="Export the radar's IQ.")] = False,
     figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw PNG files beside the report.")
-    ] = True,
+        bool, typer.Option("--figures", help="Draw PNG files, for slides, beside the report.")
+    ] = False,
     fidelity: FidelityOption = None,
     tolerance: ToleranceOption = None,
     within: WithinOption = None,
