@@ -30,8 +30,8 @@ class RangeDopplerMap:
     ascend from 0; ``delay_rate``, in s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive
     when the target recedes. ``noise_w``: mean noise power of a cell, by the map's median: too
     high, and SNRs too low, where echoes fill much of the map (1.6 dB with clutter at two fifths of
-    all delays in 4 slots, 0.2 dB in 64). ``oversampling``: cells per resolution cell along each
-    axis.
+    all delays in 4 slots, 0.2 dB in 64); ``noise_error_w``: its standard error, known to a
+    quarter. ``oversampling``: cells per resolution cell along each axis.
 
     ``effective_looks``: number of independent channels with the same variance of the noise. Where
     it is less than ``n_channels``, the channels were whitened, see `whiten`: ``power_w`` of an
@@ -48,6 +48,7 @@ class RangeDopplerMap:
     oversampling: int = 1
     effective_looks: float = 1.0
     relative_noise: Array | None = None
+    noise_error_w: float = 0.0
 
     @cached_property
     def range_m(self) -> Array:
@@ -94,16 +95,18 @@ def range_doppler(
     parts = channel.reshape(-1, n, m)
     images, looks = whiten([complex_map(part, window, oversampling) for part in parts])
     power = mean_power(images)
+    noise_w = noise_level(power, len(parts))
     return RangeDopplerMap(
         power_w=power,
         delay_s=np.arange(across) * (waveform.delay_cell_s / oversampling),
         delay_rate=(np.arange(along) - (along - 1) // 2)
         * (waveform.delay_rate_cell / oversampling),
-        noise_w=noise_level(power, len(parts)),
+        noise_w=noise_w,
         n_channels=len(parts),
         oversampling=oversampling,
         effective_looks=looks,
         relative_noise=_through_window(relative_noise, window, oversampling),
+        noise_error_w=noise_w * _level_error(power.size, (n, m), window, looks, oversampling),
     )
 
 
@@ -176,9 +179,28 @@ def noise_level(power: Power, n_channels: int) -> float:
     """Mean of the noise, from the map's median: that of the mean of n exponential cells."""
     from scipy.special import gammaincinv
 
-    # Every seventh cell of a large map: 1.3e5 of them tell the median within 0.5 %.
-    cells = power.ravel(order="K")[:: 7 if power.size > 2**18 else 1]
+    cells = power.ravel(order="K")[:: _stride(power.size)]
     middle = len(cells) // 2
     # Far quicker than np.median, which sorts with care for NaN.
     median = np.partition(cells, middle)[middle]
     return float(median / gammaincinv(n_channels, 0.5) * n_channels)
+
+
+def _stride(n_cells: int) -> int:
+    """Every seventh cell of a large map: 1.3e5 of them tell the median within 0.5 %."""
+    return 7 if n_cells > 2**18 else 1
+
+
+def _level_error(
+    n_cells: int, shape: tuple[int, int], window: str, looks: float, oversampling: int
+) -> float:
+    """Standard error of `noise_level` over the level: that of a median of gamma distributed cells,
+    some of which the window and ``oversampling`` correlate.
+    """
+    from scipy.special import gammaincinv, gammaln
+
+    alike = np.prod([np.mean(normalised_window(window, n) ** 2) for n in shape])
+    independent = min(n_cells / _stride(n_cells), n_cells / (alike * oversampling**2))
+    median = gammaincinv(looks, 0.5)
+    density = np.exp(looks * np.log(median) - median - gammaln(looks))  # times the median
+    return float(0.5 / (density * np.sqrt(independent)))

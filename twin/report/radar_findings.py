@@ -1,5 +1,7 @@
 """The verdict on a radar in words, from its map, the radar equation and its noise."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hardware.formatting import counted, number, si
@@ -22,7 +24,8 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
     if capture.void:
         return _void(evaluation)
     truth, missed = capture.truth, evaluation.missed
-    reach_m, excess_db = reach_of(evaluation, 1.0), noise_excess_db(evaluation)
+    reach_m, excess = reach_of(evaluation, 1.0), noise_excess_db(evaluation)
+    excess_db, nepers = excess.value, excess.noise * np.log(10) / 10
     state = "limited" if missed or not evaluation.detections else "good"
     of = (radar.name,)
     return Finding(
@@ -40,9 +43,15 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
         ),
         _levers(),
         (
-            Figure(of, "range of 1 m² by the radar equation", "m", Interval(reach_m)),
+            # Of the fourth root of the noise; where that does not limit it, too wide.
+            Figure(
+                of,
+                "range of 1 m² by the radar equation",
+                "m",
+                Interval(reach_m, noise=reach_m * nepers / 4),
+            ),
             Figure(of, "threshold over the map's noise", "dB", Interval(threshold_db(evaluation))),
-            Figure(of, "map's noise over the thermal one", "dB", Interval(excess_db)),
+            Figure(of, "map's noise over the thermal one", "dB", excess),
         ),
     )
 
@@ -58,10 +67,11 @@ def reach_of(evaluation: RadarEvaluation, rcs_m2: float) -> float:
     return float(min(far, (radar.received_power_w(1.0, rcs_m2) / needed_w) ** 0.25))
 
 
-def noise_excess_db(evaluation: RadarEvaluation) -> float:
+def noise_excess_db(evaluation: RadarEvaluation) -> Interval:
     """Noise found on the map over the thermal one that the link budget predicts."""
-    known = {name: value for name, value, _ in budget_figures(evaluation)}
-    return known["noise per cell, found"] - known["noise per cell, predicted"]
+    known = {name: figure for name, figure, _ in budget_figures(evaluation)}
+    found = known["noise per cell, found"]
+    return replace(found, value=found.value - known["noise per cell, predicted"].value)
 
 
 def _seen(evaluation: RadarEvaluation) -> str:

@@ -25,7 +25,7 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
         "waveform": _waveform(evaluation),
         "window_cell": si(WINDOWS * evaluation.waveform.velocity_cell_m_per_s, "m/s"),
         "interval": si(evaluation.radar.burst_s, "s"),
-        "budget": [(n, f"{number(v, 4)} {unit}") for n, v, unit in budget_figures(evaluation)],
+        "budget": [(n, f"{_told(v)} {unit}") for n, v, unit in budget_figures(evaluation)],
         "targets": _targets(evaluation),
         "headlines": str(evaluation).splitlines(),
         "missed": [f"{t.name}: {evaluation.expectation(t)}" for t in evaluation.missed],
@@ -113,7 +113,7 @@ def _picture(evaluation: RadarEvaluation) -> list[dict[str, str]]:
     ]
 
 
-def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
+def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, Interval, str]]:
     """Name, value and unit of every line of the link budget, for 10 m^2 at 150 m or as far as the
     radar is unambiguous.
     """
@@ -124,7 +124,7 @@ def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
     noise = constants.k * 290.0 * wave.bandwidth_hz
     cells = wave.n_subcarriers * wave.n_slots
     predicted = radar.sample_noise_w / cells * window_loss(evaluation)
-    return [
+    known = [
         ("transmit power", _db(end.transmit_power_w.value * 1e3), "dBm"),
         ("antenna gain, each way", radar.antenna.ahead_dbi, "dBi"),
         ("losses", end.losses_db.value, "dB"),
@@ -135,8 +135,16 @@ def budget_figures(evaluation: RadarEvaluation) -> list[tuple[str, float, str]]:
         ("processing gain N M", _db(cells), "dB"),
         ("SNR after processing, rectangular window", _db(radar.image_snr(received)), "dB"),
         ("noise per cell, predicted", _db(predicted * 1e3), "dBm"),
-        ("noise per cell, found", _db(evaluation.image.noise_w * 1e3), "dBm"),
     ]
+    found = ("noise per cell, found", noise_found_dbm(evaluation), "dBm")
+    return [*((name, Interval(value), unit) for name, value, unit in known), found]
+
+
+def noise_found_dbm(evaluation: RadarEvaluation) -> Interval:
+    """Mean noise of a cell, as the vehicle finds it on the map."""
+    level_w, error_w = evaluation.image.noise_w, evaluation.image.noise_error_w
+    noise_db = 10 / np.log(10) * error_w / level_w if level_w > 0 else 0.0
+    return Interval(_db(level_w * 1e3), noise=float(noise_db))
 
 
 def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
@@ -209,3 +217,7 @@ def _place(detection: Detection) -> str:
 
 def _db(ratio: float) -> float:
     return float(10 * np.log10(ratio)) if ratio > 0 else -np.inf
+
+
+def _told(figure: Interval) -> str:
+    return str(figure) if figure.half_width else number(figure.value, 4)

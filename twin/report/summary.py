@@ -191,8 +191,8 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
         ("unambiguous range rate", wave.max_velocity_m_per_s, "m/s"),
     ):
         yield Figure(of, name, unit, Interval(value))
-    for name, value, unit in budget_figures(evaluation):
-        yield Figure(of, name, unit, Interval(value))
+    for name, figure, unit in budget_figures(evaluation):
+        yield Figure(of, name, unit, figure)
     yield Figure(of, "targets detected", "", targets_detected(evaluation))
     for target in capture.truth:
         whose = (*of, "true", target.name)
@@ -211,14 +211,16 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
         )
     yield from _detected(evaluation)
     for moving in evaluation.micro_doppler:
-        heard = moving.heard_m_per_s
-        for name, value in (
-            ("least range rate of its parts", moving.least_m_per_s),
-            ("greatest range rate of its parts", moving.greatest_m_per_s),
-            ("least range rate heard within 40 dB", heard[0]),
-            ("greatest range rate heard within 40 dB", heard[1]),
+        # Of an edge of a spectrum nothing is told below its cells.
+        heard, cell = moving.heard_m_per_s, float(np.diff(moving.seen.range_rate_m_per_s).max())
+        for name, value, systematic in (
+            ("least range rate of its parts", moving.least_m_per_s, 0.0),
+            ("greatest range rate of its parts", moving.greatest_m_per_s, 0.0),
+            ("least range rate heard within 40 dB", heard[0], cell),
+            ("greatest range rate heard within 40 dB", heard[1], cell),
         ):
-            yield Figure((*of, "micro-Doppler", moving.name), name, "m/s", Interval(value))
+            figure = Interval(value, systematic=systematic)
+            yield Figure((*of, "micro-Doppler", moving.name), name, "m/s", figure)
     for seen in evaluation.picture.seen if evaluation.picture else ():
         for name, value, unit in (
             ("down-range in the image", seen.down_range_m, "m"),
