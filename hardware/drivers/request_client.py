@@ -59,7 +59,9 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Patience:
-    """Timeout of a reply, number of attempts, timeout of a reconnection."""
+    """Timeout of a reply, number of attempts, timeout of a reconnection and of a running device
+    that answers and measures nothing.
+    """
 
     reply_s: float = 0.5
     attempts: int = 4

@@ -29,8 +29,10 @@ class _Run:
     number: int
     assembly: Assembly
     configured: Configured
-    #: Device's count of frames at the last silence; None since a frame came.
+    #: Device's count of frames at the last silence, None since a frame came; and since when it is
+    #: the same, by the host's monotonic clock.
     frames_at_silence: int | None = None
+    silent_since_s: float = 0.0
 
 
 class SpiCamera:
@@ -173,8 +175,12 @@ class SpiCamera:
         run = self._run
         assert run is not None
         if status.run == run.number and status.state == State.RUNNING:
+            now_s = time.monotonic()
             if status.frames != run.frames_at_silence or self._device.measured:
-                run.frames_at_silence = status.frames
+                run.frames_at_silence, run.silent_since_s = status.frames, now_s
+                return []
+            # A device that answers may be late: what it has measured is lost with a new start.
+            if now_s - run.silent_since_s < self._device.patience.reconnect_s:
                 return []
             _log.warning("%s: the device measures nothing; starting anew", self.url)
         elif status.run == run.number and not status.booted:

@@ -211,7 +211,7 @@ def test_a_table_is_sent_again_only_to_a_device_that_lost_it(
     settings = replace(SETTINGS, patterns=PatternSet.of(8, 8, range(40, 8, -1)))
     with (
         firmware.running("--fast", *fault) as path,
-        SpiCamera(path, settings, patience=QUICK) as camera,
+        SpiCamera(path, settings, patience=replace(QUICK, reconnect_s=1.0)) as camera,
     ):
         records = list(camera.records(sets=40 if uploads > 1 else 16))
         assert camera.statistics.restarts >= 1
@@ -223,7 +223,7 @@ def test_a_table_is_sent_again_only_to_a_device_that_lost_it(
 def test_a_device_that_falls_silent_is_started_again(firmware: Any) -> None:
     with (
         firmware.running("--fast", "--stall-after", "10") as path,
-        SpiCamera(path, SETTINGS, patience=QUICK) as camera,
+        SpiCamera(path, SETTINGS, patience=replace(QUICK, reconnect_s=1.0)) as camera,
     ):
         records = list(camera.records(sets=8))
         assert camera.statistics.restarts >= 1

@@ -1,5 +1,6 @@
 """The virtual camera: behind the protocol's bytes the twin is the twin; its faults show or mend."""
 
+import math
 import os
 import re
 import signal
@@ -7,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from itertools import islice
@@ -35,7 +37,7 @@ from hardware.drivers.messages import (
 from hardware.drivers.settings import read_settings, write_settings
 from hardware.patterns import hadamard_rows
 from hardware.recording import Log
-from hardware.records import Flag, Shutter
+from hardware.records import Flag, Shutter, SpiRecord
 from hardware.sources import open_source
 from twin import cli
 from twin.camera.acquisition import capture
@@ -45,8 +47,43 @@ from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
 from twin.serve.configuration import configure_system, settings_of
 from twin.serve.faults import CameraFaults, parse_faults
+from twin.serve.frames import FramesAhead
 from twin.serve.line import TcpPort, Terminal
 from twin.system import load_system
+
+
+class _TakesItsTime(FramesAhead):
+    """Each frame is there 3 s after it was first asked for."""
+
+    def __init__(self, records: Iterator[SpiRecord]) -> None:
+        self._records, self._asked_s = records, math.nan
+
+    def __next__(self) -> SpiRecord:
+        self._asked_s = math.nan
+        return next(self._records)
+
+    def ready(self) -> bool:
+        now_s = time.monotonic()
+        self._asked_s = now_s if math.isnan(self._asked_s) else self._asked_s
+        return now_s - self._asked_s > 3.0
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_is_late_is_waited_for(world) -> None:
+    """At the device's pace a frame of 6 ms takes 3 s, in which the camera answers that it runs and
+    sends nothing: it is not started anew, and no set is lost.
+    """
+    with (
+        served(world, pace="real", frames=_TakesItsTime) as server,
+        SpiCamera(server.line.url, SETTINGS) as camera,
+    ):
+        records = list(camera.records(sets=2))
+        statistics = camera.statistics
+    assert (statistics.lost, statistics.restarts) == (0, 0)
+    for record, expected in zip(records, direct(world, SETTINGS, 2), strict=True):
+        np.testing.assert_array_equal(record.counts, expected.counts)
 
 
 @pytest.mark.parametrize("line", ["pty", "tcp", "rfc2217"])

@@ -40,8 +40,10 @@ def direct(world, wanted: SpiSettings, sets: int):
 
 
 @contextmanager
-def served(world, line=None, *, pace="fast", faults=None, seed=0):
-    """The camera on a line; yields the server."""
+def served(world, line=None, *, pace="fast", faults=None, seed=0, frames=iter):
+    """The camera on a line; yields the server. ``frames``: of the records of a run, as the camera
+    asks for them.
+    """
     scene, system, light = world
     faults = faults or CameraFaults()
     clock = DeviceClock(pace, faults.drift)
@@ -49,7 +51,7 @@ def served(world, line=None, *, pace="fast", faults=None, seed=0):
         lambda send, overrun: VirtualCamera(
             system,
             scene.sun,
-            lambda made: stills(scene, made, seed=SEED, fidelity=QUICK, lit=light),
+            lambda made: frames(stills(scene, made, seed=SEED, fidelity=QUICK, lit=light)),
             clock=clock,
             send=send,
             overrun=overrun,
