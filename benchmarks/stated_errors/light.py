@@ -22,9 +22,10 @@ Array = NDArray[np.float64]
 _WITHIN_95 = 1.96
 _DEPTHS, _SAMPLES = (1, 2, 4, 8, 16), tuple(4**power for power in range(7))
 _RUNS = 2  # of each setting of the knobs, after a warm-up
-#: Per pixel of a render of the truth; how small its error is to be over that stated, where time
-#: allows; and renders whose scatter tells it.
-_FEW_PATHS, _PATHS, _SMALL, _LEAST_RENDERS = 4, 16, 0.2, 6
+#: Per pixel of a render of the truth, where time is short and where it is not: of few paths all
+#: may miss a tiny facet, so that their scatter tells nothing; how small the truth's error is to be
+#: over that stated, where time allows; and renders whose scatter tells it.
+_FEW_PATHS, _PATHS, _SMALL, _LEAST_RENDERS = 4, 64, 0.2, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +133,13 @@ def _truth(case: CameraCase, rendered: RenderedLight, limit_s: float) -> _Truth:
             continue
         error = np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
         truth = _Truth(np.mean(found, axis=0), error, noise)
-        exact = truth.over_noise(truth.error) <= _SMALL * stated
         spent = time.process_time() - begin
-        if exact or spent > limit_s:
-            return truth
         if paths == _FEW_PATHS and _PATHS / paths * spent < limit_s:
-            paths = _PATHS  # less of the time goes into starting renders
+            paths = _PATHS
             found.clear()
+            continue
+        if spent > limit_s or truth.over_noise(truth.error) <= _SMALL * stated:
+            return truth
 
 
 def _cheapest(case: CameraCase, drawn: LightCase, truth: _Truth, most_s: float) -> Cheapest | None:
