@@ -14,12 +14,13 @@ surfaces.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.outermost import OuterRims, wholes
+from twin.radar.propagation.diffraction.outermost import OuterRims
 from twin.radar.propagation.diffraction.rims import (
     ONE_EDGE,
     DiffractedPaths,
@@ -53,21 +54,30 @@ _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more
 class Screens:
     """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
-    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``whole`` (n,) numbers
-    what has one outline; ``faintest`` is the least
-    amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar``
-    are outlines that were asked for from there, by obstacle, and ``rims`` by obstacle and source.
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
+    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar`` are
+    outlines that were asked for from there, by obstacle, and ``rims`` by source.
     """
 
     prepared: PreparedScene
     items: tuple[SceneObject, ...]
     body: NDArray[np.int32]
-    whole: Indices
-    centers: Array
-    radii: Array
+    boxes: Array
     faintest: float
     from_radar: dict[int, Outline] = field(default_factory=dict)
-    rims: dict[tuple[int, bytes], OuterRims] = field(default_factory=dict)
+    rims: dict[bytes, OuterRims] = field(default_factory=dict)
+
+    @cached_property
+    def centers(self) -> Array:
+        """Of boxes, (n, 3)."""
+        centers: Array = self.boxes.mean(axis=1)
+        return centers
+
+    @cached_property
+    def radii(self) -> Array:
+        """Of spheres around boxes, (n,)."""
+        radii: Array = np.linalg.norm(self.boxes[:, 1] - self.boxes[:, 0], axis=1) / 2
+        return radii
 
     @property
     def wavenumber(self) -> float:
@@ -82,17 +92,17 @@ class Screens:
             self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
         return self.from_radar[item]
 
-    def rim(self, item: int, source: Array, reach_m: float) -> Outline:
-        """Of an obstacle's outline what is on the outline of the whole that it is part of, from the
-        radar or an image of it, relative to the anchor, to points so far from there.
+    def rim(self, item: int, source: Array, reach_m: float, own: int = -1) -> Outline:
+        """Of an obstacle's outline what is on the outline of all that stands close to it, but for
+        parts of a body that points are their ``own`` of, from the radar or an image of it, relative
+        to the anchor, to points so far from there.
         """
-        key = source.tobytes()
-        if (item, key) not in self.rims:
-            parts = np.flatnonzero(self.whole == self.whole[item]).tolist()
-            outlines = {part: self.outline(part, source) for part in parts}
-            whole = OuterRims(self.prepared, outlines, source)
-            self.rims.update({(part, key): whole for part in parts})
-        return self.rims[item, key].up_to(reach_m)[item]
+        if (key := source.tobytes()) not in self.rims:
+            alone = int(self.body.max(initial=-1)) + 1 + np.arange(len(self.items))
+            owner = np.where(self.body >= 0, self.body, alone)
+            outlines = partial(self.outline, place=source)
+            self.rims[key] = OuterRims(self.prepared, self.items, owner, outlines, source)
+        return self.rims[key].of(item, reach_m, own)
 
 
 def screens(
@@ -105,15 +115,12 @@ def screens(
     items = prepared.originals[: len(prepared.world.face_ranges)]
     if shadow_db <= 0 or not items:
         return None
-    boxes = boxes_of(items) - prepared.anchor_m
     bodies = np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)]
     return Screens(
         prepared=prepared,
         items=items,
         body=bodies,
-        whole=wholes(prepared, items, bodies),
-        centers=boxes.mean(axis=1),
-        radii=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2,
+        boxes=boxes_of(items) - prepared.anchor_m,
         faintest=float(10 ** (-shadow_db / 20)),
     )
 
@@ -192,22 +199,22 @@ class Segment:
             strange = (own < 0) | (own != self.obstacles.body[item])
             rows = np.flatnonzero(active & strange & self.beside(item))
             for group in _groups(rows, own):
-                rim = self.rim(item, group)
+                rim = self.rim(item, group, int(own[group[0]]))
                 step = max(1, _PAIRS // max(len(rim.ends), 1))
                 if len(rim.ends):
                     for part in np.split(group, range(step, len(group), step)):
                         yield from self._round(item, rim, part)
 
-    def rim(self, item: int, rows: Indices, around_m: float = 0.0) -> Outline:
-        """Edges of an obstacle's outline that may diffract a wave to points, or to a distance
-        around them; none of an obstacle that is one of the image's mirrors.
+    def rim(self, item: int, rows: Indices, own: int, around_m: float = 0.0) -> Outline:
+        """Edges of an obstacle's outline that may diffract a wave to points of a body, or to a
+        distance around them; none of an obstacle that is one of the image's mirrors.
         """
         o = self.obstacles
         if item in {o.prepared.flats[number].object for number in self.image.patches}:
             return o.outline(item, self.source).take(np.zeros(0, dtype=np.intp))
         middle = self.seen[rows].mean(axis=0)
         direct = middle - self.source
-        rim = o.rim(item, self.source, float(np.linalg.norm(direct)))
+        rim = o.rim(item, self.source, float(np.linalg.norm(direct)), own)
         reach = np.linalg.norm(self.seen[rows] - middle, axis=1).max() + around_m
         return rim.take(near_edges(rim, direct, reach, o.wavenumber, o.faintest))
 
@@ -419,6 +426,6 @@ def is_near_edges(
         segment = Segment(obstacles, image, level, place[None], np.zeros((1, 3)))
         for item in segment.near_any(one, radius_m):
             is_beside = obstacles.body[item] != own and segment.beside(item, radius_m).any()
-            if is_beside and len(segment.rim(item, first, radius_m).ends):
+            if is_beside and len(segment.rim(item, first, own, radius_m).ends):
                 return True
     return False

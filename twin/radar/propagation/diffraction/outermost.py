@@ -1,23 +1,26 @@
-"""The outline of a body of several parts, seen from a point: the rims of its parts without what of
-them lies within another part's outline.
+"""The outline of obstacles that stand close behind each other, seen from a point: the rims of each
+without what of them lies within another's outline.
 
-Parts of a body overlap, and one folds in front of itself. A rim within the outline of the whole
-diffracts nothing: beside it the body goes on, nearer or a little farther. Far behind the rim, or
-behind the point that the wave goes to, it does not matter. Rays decide just beside the rim.
-Of several rims one behind the other, as where the rim of a mesh turns back for a face, one counts.
-Where one rim passes below another both end, and the light is between them.
+Parts of a body overlap, one folds in front of itself, and objects stand close before others. A rim
+within the outline of the whole diffracts nothing: beside it the whole goes on, a little nearer or
+farther. Far before or behind the rim, or behind the point that the wave goes to, it does not
+matter: two screens far behind each other are passed one after the other. Rays decide just beside
+the rim. Of several rims one behind the other, as where the rim of a mesh turns back for a face, one
+counts. Where one rim passes below another both end, and the light is between them.
 """
 
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.radar.propagation.meshes.grouping import bodies_of
+from twin.radar.propagation.meshes.grouping import bodies_of, near_pairs
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.scene import SceneObject
+from twin.scene.boxes import boxes_of
 from twin.transfer import host, vector
 
 Array = NDArray[np.float64]
@@ -25,12 +28,13 @@ Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
-_MOST_PIECES = 256, 2**15  # of an edge, and of a body
+_MOST_PIECES = 256, 2**15  # of an edge, and of an object
 _BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
-#: Gap between a rim and what goes on behind it, times the sum of the inverse distances from the
-#: source to the one and from the other to the point: from there on waves pass between both.
+#: Gap between a rim and what goes on before or behind it, times the sum of the inverse distances
+#: from the source to the nearer and from the farther to the point: from there on waves pass between
+#: both.
 _APART = 0.3
-#: Of a way, and besides, by which rays go on behind a body that does not count.
+#: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 #: How far aside rays look at most, of the same root, and at how many distances.
 _WIDEST, _STEPS = 0.1, 4
@@ -39,58 +43,198 @@ _AROUND = 8  # pieces next to each, that may be on one line of sight with it
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
 
 
-def wholes(
-    prepared: PreparedScene, items: tuple[SceneObject, ...], body: NDArray[np.int32]
-) -> Indices:
-    """Number of what each object has one outline with: its body; of objects without one those that
-    it touches, but for mirrors, which stand alone: a ground touches everything.
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of outlines, (n,): of each the ``edge`` and its number there, ``piece``, of ``count``;
+    its unit vector of ``sight`` (n, 3); and at distances aside, (n, steps), from which distance of
+    points on what is met there hides it, inf: never, NaN: not known yet.
     """
-    whole = len(items) + np.arange(len(items))
-    whole[body >= 0] = body[body >= 0]
-    loose = np.flatnonzero((body < 0) & ~np.isin(np.arange(len(items)), prepared.flats.object))
-    if len(loose):
-        whole[loose] = 2 * len(items) + bodies_of([items[i] for i in loose])
-    return whole
+
+    outline: Outline
+    edge: Indices
+    piece: Indices
+    count: Indices
+    sight: Array
+    aside_m: Array
+    from_m: Array
+
+    @staticmethod
+    def of(rim: Outline, wavelength_m: float) -> "_Pieces":
+        """Of an outline, nothing known yet."""
+        pieces, edge, piece, count = _pieces(rim, wavelength_m)
+        middle = pieces.ends.mean(axis=1)
+        sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+        aside_m = _aside_m(middle, wavelength_m)
+        return _Pieces(
+            pieces, edge, piece, count[edge], sight, aside_m, np.full_like(aside_m, np.nan)
+        )
+
+    def take(self, which: Indices) -> "_Pieces":
+        """Only some of them, by index."""
+        rest = (getattr(self, f.name)[which] for f in fields(_Pieces)[1:])
+        return _Pieces(self.outline.take(which), *rest)
+
+    @staticmethod
+    def together(parts: "list[_Pieces]") -> "_Pieces":
+        """As of one outline, with edges and corners numbered anew."""
+        first = np.cumsum([0, *(int(part.edge.max(initial=-1)) + 1 for part in parts)])
+        parts = [replace(part, edge=part.edge + n) for part, n in zip(parts, first, strict=False)]
+        names = [f.name for f in fields(_Pieces)[1:]]
+        rest = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return _Pieces(_together([part.outline for part in parts]), *rest)
+
+    @property
+    def distance_m(self) -> Array:
+        """From the source, (n,)."""
+        distance: Array = np.linalg.norm(self.outline.ends.mean(axis=1), axis=1)
+        return distance
+
+    @property
+    def longest(self) -> float:
+        """As an angle."""
+        side = self.outline.ends[:, 1] - self.outline.ends[:, 0]
+        return float(np.max(np.linalg.norm(side, axis=1) / self.distance_m, initial=0.0))
 
 
 class OuterRims:
-    """Of the outlines of a body's parts, by object, what is on the outline of the whole, seen from
-    a source relative to the anchor, by waves that go to points at a distance from it.
+    """Of the outlines of objects what is on the outline of all that stands close, seen from a
+    source relative to the anchor, by waves that go to points at a distance from it.
+
+    ``owner`` (n,) numbers the bodies that objects are parts of; mirrors stand alone: a ground is
+    close to everything.
     """
 
-    def __init__(self, prepared: PreparedScene, rims: dict[int, Outline], source: Array) -> None:
-        self._parts, self._wavelength_m = rims, prepared.wavelength_m
-        self._item = np.repeat(list(rims), [len(rim.ends) for rim in rims.values()])
-        self._found: dict[int, dict[int, Outline]] = {}
-        if not len(self._item):
-            return
-        self._rim = _together(list(rims.values()))
-        self._pieces, *edges = _pieces(self._rim, prepared.wavelength_m)
-        self._edge, self._piece, self._count = edges
-        is_part = np.zeros(len(prepared.originals), dtype=bool)
-        is_part[list(rims)] = True
-        self._aside_m, self._from_m = _beside(prepared, is_part, self._pieces, source)
-        self._depths_m = np.unique(self._from_m)
+    def __init__(
+        self,
+        prepared: PreparedScene,
+        items: tuple[SceneObject, ...],
+        owner: Indices,
+        outline: Callable[[int], Outline],
+        source: Array,
+    ) -> None:
+        self._prepared, self._owner, self._source = prepared, owner, source
+        self._outline, self._wavelength_m = outline, prepared.wavelength_m
+        boxes, mirrors = boxes_of(items) - prepared.anchor_m - source, prepared.flats.object
+        self._close = _close(boxes, mirrors, prepared.wavelength_m)
+        # What touches is looked at together, which takes less time.
+        self._group = len(items) + np.arange(len(items))
+        rest = np.setdiff1d(np.arange(len(items)), mirrors)
+        self._group[rest] = bodies_of([items[k] for k in rest])
+        self._around: dict[int, tuple[Indices, Indices]] = {}
+        self._pieces: dict[tuple[int, int], _Pieces] = {}
+        self._groups: dict[tuple[int, int], _Group] = {}
+
+    def of(self, item: int, reach_m: float, own: int = -1) -> Outline:
+        """Of an object, to points so far from the source: what is behind them hides no rim, nor do
+        parts of the body that is the points' ``own``.
+        """
+        group = int(self._group[item])
+        if group not in self._around:
+            members = np.flatnonzero(self._group == group)
+            close = np.unique(np.concatenate([members, *(self._close[k] for k in members)]))
+            self._around[group] = members, close
+        members, close = self._around[group]
+        own = own if own in self._owner[close] else -1
+        if (group, own) not in self._groups:
+            is_own = (self._owner == own) & (own >= 0)
+            members, close = members[~is_own[members]], close[~is_own[close]]
+            self._groups[group, own] = self._grouped(members, close, own)
+        return self._groups[group, own].up_to(reach_m)[item]
+
+    def _grouped(self, members: Indices, close: Indices, own: int) -> "_Group":
+        """Pieces of members, and of what is close those on their lines of sight; of several at one
+        place that of the first object comes first.
+        """
+        parts = {member: self._known(member, own) for member in members.tolist()}
+        tree = cKDTree(np.concatenate([part.sight for part in parts.values()]))
+        longest = max(part.longest for part in parts.values())
+        for other in np.setdiff1d(close, members).tolist() if tree.n else ():
+            rest = self._of(other, own)
+            size = 2 * _MEET * _PIECE * np.sqrt(self._wavelength_m / rest.distance_m)
+            reach = size.max(initial=0) + (longest + rest.longest) / 2
+            near = np.isfinite(tree.query(rest.sight, distance_upper_bound=reach)[0])
+            if near.any():
+                parts[other] = self._known(other, own, np.flatnonzero(near))
+        return _Group({k: parts[k] for k in sorted(parts)}, self._wavelength_m)
+
+    def _of(self, item: int, own: int) -> _Pieces:
+        own = own if own in self._owner[self._close[item]] else -1
+        if (item, own) not in self._pieces:
+            self._pieces[item, own] = _Pieces.of(self._outline(item), self._wavelength_m)
+        return self._pieces[item, own]
+
+    def _known(self, item: int, own: int, rows: Indices | None = None) -> _Pieces:
+        """All pieces or some, with what hides them."""
+        pieces = self._of(item, own)
+        rows = np.arange(len(pieces.edge)) if rows is None else rows
+        if len(new := rows[np.isnan(pieces.from_m[rows, 0])]):
+            pieces.from_m[new] = self._hidden_from_m(item, own, pieces.take(new))
+        return pieces.take(rows)
+
+    def _hidden_from_m(self, item: int, own: int, pieces: _Pieces) -> Array:
+        """By the object or what is close to it, but for parts of a body."""
+        is_part = np.zeros(len(self._prepared.originals), dtype=bool)
+        is_part[[item, *self._close[item]]] = True
+        is_part[: len(self._owner)] &= (self._owner != own) | (own < 0)
+        towards = pieces.outline.ends.mean(axis=1)[:, None]
+        towards = towards + pieces.aside_m[..., None] * pieces.outline.lit[:, None]
+        met_m, what = _first_met(self._prepared, is_part, self._source, towards.reshape(-1, 3))
+        met_m, what = met_m.reshape(pieces.aside_m.shape), what.reshape(pieces.aside_m.shape)
+        rim_m = pieces.distance_m[:, None]
+        # What touches the object before the rim hides it however far before.
+        is_before = (what >= 0) & (self._group[what] == self._group[item]) & (met_m < rim_m)
+        return np.where(is_before, 0.0, _one_from_m(rim_m, met_m))
+
+
+class _Group:
+    """Pieces of outlines on the same lines of sight, by object."""
+
+    def __init__(self, parts: dict[int, _Pieces], wavelength_m: float) -> None:
+        # Some something before them hides from all points.
+        every = [part.take(np.flatnonzero(part.from_m[:, 0] > 0)) for part in parts.values()]
+        self._edges = [int(part.edge.max(initial=-1)) + 1 for part in every]
+        self._objects = list(parts)
+        self._pieces, self._wavelength_m = _Pieces.together(every), wavelength_m
+        self._far, self._near, self._one_from_m = _behind_others(self._pieces)
+        self._depths_m = np.unique([*self._pieces.from_m.ravel(), *self._one_from_m])
+        self._at: dict[int, dict[int, Outline]] = {}
+        self._found: dict[bytes, dict[int, Outline]] = {}
 
     def up_to(self, reach_m: float) -> dict[int, Outline]:
-        """To points so far from the source: what the body has behind them hides no rim."""
-        if not len(self._item):
-            return self._parts
+        """By object, to points so far from the source."""
         number = int(np.searchsorted(self._depths_m, reach_m))
-        if number not in self._found:
-            self._found[number] = self._outermost(reach_m)
-        return self._found[number]
+        if number not in self._at:
+            room_m = _room_m(self._pieces.aside_m, self._pieces.from_m < reach_m)
+            is_one = (room_m[self._near] > 0) & (self._one_from_m < reach_m)
+            room_m[self._far[is_one]] = 0
+            # Many depths change nothing.
+            key = room_m.tobytes()
+            if key not in self._found:
+                self._found[key] = self._outlines(room_m)
+            self._at[number] = self._found[key]
+        return self._at[number]
 
-    def _outermost(self, reach_m: float) -> dict[int, Outline]:
-        room = _room_m(self._aside_m, self._from_m < reach_m)
-        kept = room > 0
-        rows = np.flatnonzero(kept)
-        beside = _beside_m(self._pieces.ends.mean(axis=1))
-        kept[rows[_is_behind_another(self._pieces.take(rows), beside[rows])]] = False
-        room = np.where(kept, room, 0.0)
-        runs, edge = _runs(self._rim, self._edge, self._piece, self._count, room)
+    def _outlines(self, room_m: Array) -> dict[int, Outline]:
+        runs, edge = _runs(self._pieces, room_m)
         runs = _joined(runs, self._wavelength_m)
-        return {part: runs.take(np.flatnonzero(self._item[edge] == part)) for part in self._parts}
+        first = np.searchsorted(edge, np.cumsum(self._edges)[:-1])
+        rows = np.split(np.arange(len(edge)), first)
+        return {item: runs.take(some) for item, some in zip(self._objects, rows, strict=True)}
+
+
+def _close(boxes: Array, mirrors: Indices, wavelength_m: float) -> list[Indices]:
+    """Of objects with boxes (n, 2, 3) relative to a source, which others may stand close before or
+    behind them.
+    """
+    farthest_m = np.abs(boxes).max(axis=(1, 2))[:, None, None]
+    aside_m = _WIDEST * np.sqrt(wavelength_m * farthest_m) * [[-1.0], [1.0]]
+    deep = np.concatenate([boxes, (1 + _APART) * boxes], axis=1)
+    deep = np.stack([deep.min(axis=1), deep.max(axis=1)], axis=1) + aside_m
+    pairs = near_pairs(deep)[0]
+    pairs = pairs[~np.isin(pairs, mirrors).any(axis=1)]
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.lexsort(both.T[::-1])]
+    return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(boxes))))
 
 
 def _together(rims: list[Outline]) -> Outline:
@@ -106,7 +250,7 @@ def _pieces(rim: Outline, wavelength_m: float) -> tuple[Outline, Indices, Indice
     side = rim.ends[:, 1] - rim.ends[:, 0]
     size = _piece_m(rim.ends.mean(axis=1), wavelength_m)
     parts = np.minimum(np.linalg.norm(side, axis=1) / size, _MOST_PIECES[0])
-    parts *= min(_MOST_PIECES[1] / parts.sum(), 1)
+    parts *= min(_MOST_PIECES[1] / max(parts.sum(), 1), 1)
     count = np.maximum(np.ceil(parts), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
@@ -120,49 +264,50 @@ def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:
     return replace(some, ends=first + np.stack([begin, end], axis=1)[..., None] * side)
 
 
-def _meets_m(prepared: PreparedScene, is_part: Flags, source: Array, towards: Array) -> Array:
-    """How far from a source rays in directions (n, 3) first meet any part; inf: never."""
+def _first_met(
+    prepared: PreparedScene, is_part: Flags, source: Array, towards: Array
+) -> tuple[Array, Indices]:
+    """How far from a source rays in directions (n, 3) first meet any of some objects, inf: never;
+    and the number of that object, -1: none.
+    """
     mi, count = prepared.context.mi, len(towards)
     direction = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     objects = prepared.world.object_of_face.astype(np.int64)
-    met, rows, begin = np.full(count, np.inf), np.arange(count), np.zeros(count)
+    met, what, begin = np.full(count, np.inf), np.full(count, -1), np.zeros(count)
+    rows = np.arange(count)
     while len(rows):
         at = source + begin[rows, None] * direction[rows]
         ray = mi.Ray3f(vector(mi, at, "Point3f"), vector(mi, direction[rows], "Vector3f"))
         hit = prepared.world.scene.ray_intersect_preliminary(ray)
         is_there, face, distance = host([hit.is_valid(), hit.prim_index, hit.t], len(rows))
         begin[rows] += np.where(is_there, distance, 0)
-        meets_part = is_there & is_part[objects[np.where(is_there, face, 0)]]
+        number = objects[np.where(is_there, face, 0)]
+        meets_part = is_there & is_part[number]
         met[rows[meets_part]] = begin[rows[meets_part]]
+        what[rows[meets_part]] = number[meets_part]
         begin[rows] += _ON * np.where(is_there, distance, 0) + _ON_M
         rows = rows[is_there & ~meets_part]
-    return met
+    return met, what
 
 
-def _beside(
-    prepared: PreparedScene, is_part: Flags, pieces: Outline, source: Array
-) -> tuple[Array, Array]:
-    """Distances aside of pieces of rims, and those of points from which on the body goes on there,
-    (n, steps).
-    """
-    middle = pieces.ends.mean(axis=1)
-    nearest = _beside_m(middle)
-    widest = _WIDEST / _PIECE * _piece_m(middle, prepared.wavelength_m)
+def _aside_m(middle: Array, wavelength_m: float) -> Array:
+    """Distances aside of places (n, 3) on rims where rays look, (n, steps)."""
+    nearest = _nearest_m(middle)
+    widest = _WIDEST / _PIECE * _piece_m(middle, wavelength_m)
     share = np.arange(_STEPS) / (_STEPS - 1)
-    off = nearest[:, None] * np.maximum(widest / nearest, 1)[:, None] ** share
-    beside = middle[:, None] + off[..., None] * pieces.lit[:, None]
-    met = _meets_m(prepared, is_part, source, beside.reshape(-1, 3)).reshape(off.shape)
-    return off, _hidden_from_m(np.linalg.norm(middle, axis=1)[:, None], met)
+    aside: Array = nearest[:, None] * np.maximum(widest / nearest, 1)[:, None] ** share
+    return aside
 
 
-def _hidden_from_m(rim_m: Array, met_m: Array) -> Array:
-    """Distance of points from which on a rim counts as hidden by what goes on beside it, both at
-    distances from the source: at once by what is nearer, never by what is far behind.
+def _one_from_m(one_m: Array, other_m: Array) -> Array:
+    """Distance of points from which on what stands at two distances from the source, one before the
+    other, has one outline; inf: never.
     """
-    gap = np.maximum(met_m - rim_m, 0)
+    near, far = np.minimum(one_m, other_m), np.maximum(one_m, other_m)
     with np.errstate(divide="ignore", invalid="ignore"):
-        behind = gap / (_APART - gap / rim_m)
-    return np.where(gap < _APART * rim_m, met_m + behind, np.inf)
+        gap = far - near
+        behind = gap / (_APART - gap / near)
+    return np.where(gap < _APART * near, far + behind, np.inf)
 
 
 def _room_m(aside_m: Array, is_met: Flags) -> Array:
@@ -174,11 +319,12 @@ def _room_m(aside_m: Array, is_met: Flags) -> Array:
     return room
 
 
-def _is_behind_another(pieces: Outline, beside_m: Array) -> Flags:
-    """Which pieces are on the line of sight to another one that is nearer, or the same."""
-    middle, side = pieces.ends.mean(axis=1), pieces.ends[:, 1] - pieces.ends[:, 0]
-    distance = np.linalg.norm(middle, axis=1)
-    sight, beside = middle / distance[:, None], beside_m / distance
+def _behind_others(some: _Pieces) -> tuple[Indices, Indices, Array]:
+    """Pieces on the line of sight to others that are nearer, or the same, (n,), and these; and from
+    which distance of points on both are one.
+    """
+    sight, distance, lit = some.sight, some.distance_m, some.outline.lit
+    side, beside = some.outline.ends[:, 1] - some.outline.ends[:, 0], some.aside_m[:, 0] / distance
     side -= np.sum(side * sight, axis=1)[:, None] * sight
     length = np.linalg.norm(side, axis=1) / distance  # as angles
     reach = float(np.max(length / 2 + beside, initial=0))
@@ -190,33 +336,29 @@ def _is_behind_another(pieces: Outline, beside_m: Array) -> Flags:
     near, far = np.where(order[pairs[:, :1]] < order[pairs[:, 1:]], pairs, pairs[:, ::-1]).T
     apart = sight[far] - sight[near]
     along = np.abs(np.sum(apart * side[near], axis=1)) / np.linalg.norm(side[near], axis=1)
-    across = np.abs(np.sum(apart * pieces.lit[near], axis=1))
-    is_same = np.sum(pieces.lit[near] * pieces.lit[far], axis=1) > _ALIKE
+    across = np.abs(np.sum(apart * lit[near], axis=1))
+    is_same = np.sum(lit[near] * lit[far], axis=1) > _ALIKE
     is_same &= (along < length[near] / 2) & (across < beside[near])
-    is_behind = np.zeros(len(middle), dtype=bool)
-    is_behind[far[is_same]] = True
-    return is_behind
+    near, far = near[is_same], far[is_same]
+    return far, near, _one_from_m(distance[near], distance[far])
 
 
-def _runs(
-    rim: Outline, edge: Indices, piece: Indices, count: Indices, room_m: Array
-) -> tuple[Outline, Indices]:
+def _runs(pieces: _Pieces, room_m: Array) -> tuple[Outline, Indices]:
     """Pieces of one edge that follow each other as one, and the edge of each; those without room
     are left out. Ends within an edge are corners of their own.
     """
-    kept = room_m > 0
-    follows = (piece > 0) & np.roll(kept, 1)
-    first = np.flatnonzero(kept & ~follows)
-    last = np.flatnonzero(kept & ~np.append(follows[1:] & kept[1:], False))
-    edge = edge[first]
-    runs = _part(rim, edge, piece[first] / count[edge], (piece[last] + 1) / count[edge])
-    is_cut = np.stack([piece[first] > 0, piece[last] + 1 < count[edge]], axis=1)
-    number = int(rim.corner.max()) + 1 + np.arange(2 * len(edge)).reshape(-1, 2)
-    corner = np.where(is_cut, number, runs.corner)
-    runs = Outline.of(runs.ends, runs.edge, corner, runs.lit)
-    rows = np.flatnonzero(kept)
-    room = np.minimum.reduceat(room_m[rows], np.searchsorted(rows, first)) if len(first) else first
-    return replace(runs, room_m=room.astype(np.float64)), edge
+    some, room_m = pieces.take(np.flatnonzero(room_m > 0)), room_m[room_m > 0]
+    rim, edge, piece = some.outline, some.edge, some.piece
+    follows = (np.diff(edge, prepend=-1) == 0) & (np.diff(piece, prepend=-1) == 1)
+    first = np.flatnonzero(~follows)
+    last = np.append(first[1:], len(edge)) - 1 if len(first) else first
+    ends = np.stack([rim.ends[first, 0], rim.ends[last, 1]], axis=1)
+    is_cut = np.stack([piece[first] > 0, piece[last] + 1 < some.count[last]], axis=1)
+    number = int(rim.corner.max(initial=-1)) + 1 + np.arange(2 * len(first)).reshape(-1, 2)
+    corner = np.where(is_cut, number, rim.corner[first])
+    runs = Outline.of(ends, rim.edge[first], corner, rim.lit[first])
+    room = np.minimum.reduceat(room_m, first) if len(first) else room_m
+    return replace(runs, room_m=room), edge[first]
 
 
 def _joined(rim: Outline, wavelength_m: float) -> Outline:
@@ -241,6 +383,6 @@ def _piece_m(place: Array, wavelength_m: float) -> Array:
     return size
 
 
-def _beside_m(place: Array) -> Array:
+def _nearest_m(place: Array) -> Array:
     distance: Array = _BESIDE_M * (1 + 0.1 * np.linalg.norm(place, axis=1))
     return distance

@@ -72,7 +72,8 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
     for column in np.flatnonzero(beside.any(axis=0)):
         rows = np.flatnonzero(beside[:, column])
         length_m = float(np.mean(np.linalg.norm(direct[rows], axis=1)))
-        rim = obstacles.rim(int(others[column]), obstacles.prepared.images[0].place, length_m)
+        source = obstacles.prepared.images[0].place
+        rim = obstacles.rim(int(others[column]), source, length_m, body)
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(rows) if len(rim.ends) else 0, step):
             some = rows[first : first + step]

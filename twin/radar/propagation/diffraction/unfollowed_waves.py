@@ -80,7 +80,7 @@ def faint_waves(
     for item, near in zip(others.tolist(), np.atleast_1d(is_near).tolist(), strict=True):
         # Of those far off the whole outline will do: rays for all of a city take seconds.
         rim = (
-            obstacles.rim(item, source, float(np.mean(straight)))
+            obstacles.rim(item, source, float(np.mean(straight)), body)
             if near
             else obstacles.outline(item, source)
         )
