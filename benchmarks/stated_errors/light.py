@@ -3,6 +3,8 @@
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from benchmarks.stated_errors.choosing import Choosing
 from benchmarks.stated_errors.judged import Cheapest, Judged
 from benchmarks.stated_errors.light_cases import LightCase
 from benchmarks.stated_errors.light_truth import Renderer
+from benchmarks.timing import processor_time
 from twin.camera.permitted_error import PermittedError
 from twin.camera.rendered import RenderedLight
 from twin.fidelity import Fidelity, Tolerance
@@ -21,7 +24,6 @@ Array = NDArray[np.float64]
 #: Standard deviations within which 95 of 100 draws of a normal distribution lie.
 _WITHIN_95 = 1.96
 _DEPTHS, _SAMPLES = (1, 2, 4, 8, 16), tuple(4**power for power in range(7))
-_RUNS = 2  # of each setting of the knobs, after a warm-up
 #: Per pixel of a render of the truth, where time is short and where it is not: of few paths all
 #: may miss a tiny facet, so that their scatter tells nothing; how small the truth's error is to be
 #: over that stated, where time allows; and renders whose scatter tells it.
@@ -61,10 +63,8 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
     fidelity = Tolerance(drawn.tolerance).knobs()
     case.light(fidelity, 0)  # compiles
     choosing = Choosing()
-    begin = time.process_time()
     with choosing:
-        rendered = case.light(fidelity, 1)
-    seconds = time.process_time() - begin
+        seconds, (rendered, *others) = processor_time(lambda: case.light(fidelity, 1))
     truth = _truth(case, rendered, limit_s)
     left_out = np.broadcast_to(rendered.light.left_out, rendered.light.error.shape).ravel()
     stated = _WITHIN_95 * rendered.light.error.ravel() + left_out
@@ -85,7 +85,7 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
         seconds=seconds,
         cheapest=cheapest,
         searched=search,
-        choosing=choosing.seconds / seconds,
+        choosing=choosing.seconds / (1 + len(others)) / seconds,
         inside=float(inside.mean()),
         **common,
     )
@@ -152,15 +152,16 @@ def _cheapest(case: CameraCase, drawn: LightCase, truth: _Truth, most_s: float) 
     for depth in _DEPTHS:
         for samples in _SAMPLES:
             fidelity = Fidelity(samples=samples, max_depth=depth)
-            runs, times = [], []
-            for run in range(1 + _RUNS):
-                begin = time.process_time()
-                runs.append(case.light(fidelity, 2, samples, depth, run))
-                times.append(time.process_time() - begin)
-            seconds = float(np.mean(times[1:]))
+            render = partial(_of_next_seed, case, fidelity, count())
+            render()  # compiles
+            seconds, runs = processor_time(render)
             if seconds > most_s:
                 break
             if truth.error_of(*runs) <= drawn.tolerance:
                 best, most_s = Cheapest(seconds, f"{samples} paths, {depth} bounces"), seconds
                 break
     return best
+
+
+def _of_next_seed(case: CameraCase, fidelity: Fidelity, seeds: Iterator[int]) -> RenderedLight:
+    return case.light(fidelity, 2, fidelity.samples, fidelity.max_depth, next(seeds))

@@ -34,6 +34,12 @@ def _judged(stated: float, true: float, **more: object) -> Judged:
     return Judged("case", "image", 0.2, stated, true, 0.0, "of a pixel's noise", **more)  # type: ignore[arg-type]
 
 
+def test_an_error_that_the_truth_is_known_well_enough_to_show_counts() -> None:
+    """The truth known to 2, stated 1: an error of 5 may be the truth's, one of 8 is not."""
+    ones = [Judged("case", "image", 0.2, 1.0, true, 2.0, "of it") for true in (0.0, 5.0, 8.0)]
+    assert [one.is_decided for one in ones] == [True, False, True]
+
+
 def test_the_summary_counts() -> None:
     """Three of four within, the fourth at twice its interval; twice the time of the cheapest."""
     cheapest = Cheapest(1.0, "64 paths")
