@@ -23,6 +23,7 @@ from tests.physics.test_radar_rotation import ROWS, STILL, carried, dihedral, of
 from twin.motion import Product, Straight, Swinging, Trajectory, Turning
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import blended_channel, burst_channel
+from twin.radar.propagation.interval.affected import affected_alone
 from twin.radar.propagation.interval.instants import traced_interval, weights
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
@@ -244,6 +245,20 @@ def test_what_one_instant_leaves_out_is_warned_of(seed: int) -> None:
     warned = [line for line in found.warnings if "motion within an interval" in line]
     for name, error in errors.items():
         assert error <= limit or any(f"echo of {name} " in line for line in warned), (name, error)
+
+
+def test_direct_echoes_are_compared_of_what_moves_and_of_what_it_may_hide() -> None:
+    """A plate flies past a ball; another one is aside, and a third one before its way: these two
+    only cast shadows where direct echoes are compared.
+    """
+    fly = plate("plate", (6.0, 0.1, 0.0), 0.2).following(Straight((0.0, -20.0, 0.0)))
+    places = {"behind": (9.0, 0.0, 0.0), "aside": (9.0, 2.0, 0.0), "before": (4.0, 0.0, 0.0)}
+    balls = [ball(name, place, 0.2, 3) for name, place in places.items()]
+    scene = world(*balls, fly)
+    found = traced_interval(scene, RADAR, OPTICS, 1)
+    alone = affected_alone(scene, RADAR.burst_s / 2, found.roles, found.bodies)
+    silent = {item.name for item in alone.objects if item.radar == "obstacle"}
+    assert silent == {"aside", "before"}
 
 
 @pytest.mark.slow

@@ -129,8 +129,9 @@ def echoes(
     unbounded = _unbounded(fidelity, prepared)
     levels = levels.with_edges(of_edges, radar.ofdm)
     bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out, is_bounded=not unbounded)
+    every = Contributions.concatenate([paths, diffuse, surfaces])
     return Propagation(
-        Contributions.concatenate([paths, diffuse, surfaces]),
+        every,
         names,
         roles=tuple(roles),
         assumptions=(
@@ -150,7 +151,7 @@ def echoes(
             *round_obstacles.remarks,
             *unconverged(bodies),
         ),
-        heard=_heard(Contributions.concatenate([surfaces, diffuse]), prepared, radar),
+        heard=_heard(every.take(slice(len(names), None)), prepared, radar),
         warnings=(
             *silent_objects(scene, radar, roles),
             *absorbing_surfaces(scene, radar, rough),

@@ -28,6 +28,7 @@ from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, kn
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
 from twin.radar.propagation.one_way.path import offset_m
+from twin.radar.propagation.rows import dots, lengths
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -148,7 +149,7 @@ def _too_large(obstacles: Screens, bodies: Indices, count: int) -> NDArray[np.bo
     edges = sum(len(obstacles.outline(item, source).ends) for item in range(len(obstacles.items)))
     area = np.zeros(count)
     for body in bodies.tolist():
-        area[body] = np.linalg.norm(front_facets(obstacles, body).across, axis=1).sum()
+        area[body] = lengths(front_facets(obstacles, body).across).sum()
     order = np.argsort(area, kind="stable")
     is_too_large = np.zeros(count, dtype=bool)
     is_too_large[order] = np.cumsum(area[order]) / _COARSE_M**2 * edges > _MOST_PAIRS
@@ -284,9 +285,9 @@ def _in_small_parts(obstacles: Screens, facets: Facets, cells: Cells, fineness: 
 def _strength(obstacles: Screens, facets: Facets, gain: Callable[[Array], Array]) -> Array:
     """Echoes of facets, (n,), were each in phase all over."""
     towards = obstacles.prepared.images[0].place - facets.middle
-    length = np.linalg.norm(towards, axis=1)
+    length = lengths(towards)
     back = towards / length[:, None]
-    projected = np.abs(np.sum(facets.across * back, axis=1))
+    projected = np.abs(dots(facets.across, back))
     strength: Array = projected / (4 * np.pi * length**2) * gain(-back)
     return strength
 
@@ -301,7 +302,7 @@ def _change(
     """What waves over edges add to the echo of each cell, (n_cells,)."""
     k, cell, count = obstacles.wavenumber, facets.cell, len(cells.level)
     towards = obstacles.prepared.images[0].place - facets.middle
-    length = np.linalg.norm(towards, axis=1)
+    length = lengths(towards)
     back, strength = towards / length[:, None], _strength(obstacles, facets, gain)
     wave = strength * facets.mean(2 * k * back) * np.exp(-2j * (k * length % (2 * np.pi)))
     echo = np.abs(np.bincount(cell, wave.real, count) + 1j * np.bincount(cell, wave.imag, count))
@@ -319,9 +320,9 @@ def _turned(obstacles: Screens, facets: Facets, cells: Cells, back: Array) -> Ar
     two ways: of each its share of an echo at right angles, (n,).
     """
     k, cell, across = obstacles.wavenumber, facets.cell, facets.across
-    normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    slope = 2 * k * (back - np.sum(back * normal, axis=1)[:, None] * normal)
-    aside = np.sum(slope * cells.across[cell], axis=1)
+    normal = across / np.maximum(lengths(across), 1e-300)[:, None]
+    slope = 2 * k * (back - dots(back, normal)[:, None] * normal)
+    aside = dots(slope, cells.across[cell])
     root_q = np.abs(aside) / k / np.sqrt(np.maximum(cells.aside[cell], 1e-300))
     is_there = root_q > cells.nearest[cell]
     is_there &= root_q**2 <= farthest(obstacles.faintest)

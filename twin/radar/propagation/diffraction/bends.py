@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
+from twin.radar.propagation.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -79,8 +80,8 @@ class Bends:
         is_twice = (first != last).any(axis=1)[:, None]
         is_edge = (diffracted.along != 0).any(axis=1)[:, None]
         lit = np.cross(diffracted.along, last - source)
-        lit *= np.sign(np.sum(lit * diffracted.aside[:, 0], axis=1))[:, None]
-        lit /= np.maximum(np.linalg.norm(lit, axis=1, keepdims=True), 1e-300)
+        lit *= np.sign(dots(lit, diffracted.aside[:, 0]))[:, None]
+        lit /= np.maximum(lengths(lit), 1e-300)[:, None]
         count = len(known) - len(last)
         return replace(
             paths,
@@ -109,14 +110,14 @@ class Bends:
         the wave over the edge goes on steadily and takes the step with it.
         """
         towards = self.source - places
-        straight = np.linalg.norm(towards, axis=1)
+        straight = lengths(towards)
         longer, back = np.zeros(len(path)), towards / np.maximum(straight, 1e-300)[:, None]
         factor = np.ones(len(path), dtype=complex)
         bent = np.flatnonzero(self._is_bent[path])
         longer[bent], back[bent] = self._over(path[bent], places[bent], straight[bent])
         one = np.flatnonzero(self._is_single[path])
         number, q = path[one], self.wavenumber * longer[one]
-        is_lit = np.sum(self.lit[number] * -towards[one], axis=1) > 0
+        is_lit = dots(self.lit[number], towards[one]) < 0
         wave = knife_edge_factor(q)
         steady = np.where(is_lit == self._known_lit[number], wave, np.exp(1j * q) - wave)
         factor[one] = steady / self._known_factor[number]
@@ -133,7 +134,7 @@ class Bends:
     @cached_property
     def _known_longer_m(self) -> Array:
         """What `to` says of the places to which paths are known."""
-        straight = np.linalg.norm(self.known - self.source, axis=1)
+        straight = lengths(self.known - self.source)
         return np.where(
             self._is_bent, self._over(np.arange(len(straight)), self.known, straight)[0], 0.0
         )
@@ -144,7 +145,7 @@ class Bends:
 
     @cached_property
     def _known_lit(self) -> Flags:
-        return np.asarray(np.sum(self.lit * (self.known - self.source), axis=1) > 0)
+        return np.asarray(dots(self.lit, self.known - self.source) > 0)
 
     def _over(self, path: Indices, places: Array, straight: Array) -> tuple[Array, Array]:
         """By how much the shortest paths over the edges' lines are longer than straight ones, and
@@ -152,14 +153,11 @@ class Bends:
         """
         begin, stop, along = (x[path] for x in (self.begin, self.stop, self.along))
         ends = (begin - stop, places - stop)
-        at = [np.sum(end * along, axis=1) for end in ends]
-        off = [
-            np.linalg.norm(end - x[:, None] * along, axis=1)
-            for end, x in zip(ends, at, strict=True)
-        ]
+        at = [dots(end, along) for end in ends]
+        off = [lengths(end - x[:, None] * along) for end, x in zip(ends, at, strict=True)]
         share = off[0] / np.maximum(off[0] + off[1], 1e-300)
         towards = stop + (at[0] + share * (at[1] - at[0]))[:, None] * along - places
-        distance = np.maximum(np.linalg.norm(towards, axis=1), 1e-300)
-        before = np.linalg.norm(begin - self.source, axis=1)
+        distance = np.maximum(lengths(towards), 1e-300)
+        before = lengths(begin - self.source)
         length = before + np.hypot(off[0] + off[1], at[1] - at[0])
         return np.maximum(length - straight, 0), towards / distance[:, None]

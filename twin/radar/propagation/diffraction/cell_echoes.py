@@ -21,6 +21,7 @@ from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
+from twin.radar.propagation.rows import dots, lengths
 from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.synthesis import Contributions
@@ -81,10 +82,10 @@ def cell_echoes(
 def _places(facets: Facets) -> Indices:
     """The facet in the middle of each cell, (n_cells,)."""
     middle, cell = facets.middle, facets.cell
-    weight = np.linalg.norm(facets.across, axis=1)
+    weight = lengths(facets.across)
     total = np.bincount(cell, weight)
     center = np.stack([np.bincount(cell, weight * x) / total for x in middle.T], axis=1)
-    order = np.lexsort((np.linalg.norm(middle - center[cell], axis=1), cell))
+    order = np.lexsort((lengths(middle - center[cell]), cell))
     return order[np.unique(cell[order], return_index=True)[1]]
 
 
@@ -145,11 +146,11 @@ def _of_ways(
     """Of facets (n,) each by one way."""
     prepared, k, cell = obstacles.prepared, obstacles.wavenumber, facets.cell
     middle = facets.middle
-    length = np.linalg.norm(middle - prepared.images[0].place, axis=1)
+    length = lengths(middle - prepared.images[0].place)
     one, other = (bends.to(way, middle) for bends in ways.bends)
     longer_m = 2 * (length - straight.length[cell]) + one.longer_m + other.longer_m
     both = one.back + other.back
-    mean, less, more = (facets.mean((k + step) * both) for step in (0.0, -_STEP, _STEP))
+    mean, less, more = facets.means(both, (k, k - _STEP, k + _STEP))
     amplitude = current * ways.share[way] * one.factor * other.factor
     # Of lengths beside that of the middle, with their waves.
     moment_m = amplitude * 1j * (more - less) / (2 * _STEP)
@@ -188,8 +189,8 @@ def _radiated(
     context, n = obstacles.prepared.context, len(facets.object)
     mi = context.mi
     across = facets.across
-    area = np.linalg.norm(across, axis=1)
-    facing = np.sign(np.sum(across * path.back, axis=1, keepdims=True)) * across / area[:, None]
+    area = lengths(across)
+    facing = (np.sign(dots(across, path.back)) / area)[:, None] * across
     travel, normal, back = (vector(mi, v, "Vector3d") for v in (-path.back, facing, path.back))
     cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
     surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))

@@ -1,5 +1,6 @@
 """Facets of a body that faces the radar, in cells."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.around_edges import Screens
 from twin.radar.propagation.facets.uniform_subdivision import longest_edges
+from twin.radar.propagation.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -52,15 +54,14 @@ class Facets:
     def normal(self, place: Array) -> Array:
         """Unit normals (n, 3) on the side of a place."""
         across = self.across
-        side = np.sign(np.sum((place - self.middle) * across, axis=1, keepdims=True))
-        normal: Array = side * across / np.linalg.norm(across, axis=1, keepdims=True)
+        side = np.sign(dots(place - self.middle, across))
+        normal: Array = (side / lengths(across))[:, None] * across
         return normal
 
     def steepness(self, place: Array) -> Array:
         """Sines (n,) of the angle between the normal and the way to a place."""
         towards = place - self.middle
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        cosine = np.sum(self.normal(place) * towards, axis=1)
+        cosine = dots(self.normal(place), towards) / lengths(towards)
         sine: Array = np.sqrt(np.clip(1 - cosine**2, 0, 1))
         return sine
 
@@ -68,11 +69,13 @@ class Facets:
         """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
         rad/m.
         """
-        phase = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
-        a, b, c = np.sort(phase, axis=1).T
-        span = np.where(c - a > _FLAT_RAD, c - a, 1.0)
-        mean: Complex = 2 * (_along(b, c) - _along(a, b)) / (1j * span)
-        return np.where(c - a > _FLAT_RAD, mean, 1 - np.sum(phase**2, axis=1) / 24)
+        return self.means(slope, (1.0,))[0]
+
+    def means(self, slope: Array, wavenumbers: Sequence[float]) -> list[Complex]:
+        """The same for slopes (n, 3) times each of some wave numbers."""
+        length_m = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
+        ends = np.sort(length_m, axis=1).T
+        return [_mean(*(k * ends)) for k in wavenumbers]
 
     def take(self, which: Any) -> "Facets":
         """Only some of them, by index or mask."""
@@ -113,7 +116,7 @@ class Facets:
         three = np.stack([[a, ab, ac], [ab, b, c], [ab, c, ac]])
         corners = three.transpose(0, 2, 1, 3).reshape(-1, 3, 3)
         parts = Facets(corners, np.tile(some.object, 3), np.tile(some.cell, 3))
-        parts = parts.take(np.linalg.norm(parts.across, axis=1) > 0)
+        parts = parts.take(lengths(parts.across) > 0)
         return Facets.concatenate([self.take(~is_cut), parts])
 
     @staticmethod
@@ -121,6 +124,13 @@ class Facets:
         """One after the other."""
         columns = zip(*((p.corners, p.object, p.cell) for p in parts), strict=True)
         return Facets(*(np.concatenate(column) for column in columns))
+
+
+def _mean(a: Array, b: Array, c: Array) -> Complex:
+    """Mean of exp(j phase) over triangles with these phases at the corners, the least first."""
+    is_flat = c - a <= _FLAT_RAD
+    mean: Complex = 2 * (_along(b, c) - _along(a, b)) / (1j * np.where(is_flat, 1.0, c - a))
+    return np.where(is_flat, 1 - (a**2 + b**2 + c**2) / 24, mean)
 
 
 def _along(x: Array, y: Array) -> Complex:

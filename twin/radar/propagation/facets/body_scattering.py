@@ -364,11 +364,13 @@ class _Search:
         """Which footprints their receivers may see: any corner or the point inside; of large ones
         other parts, too.
         """
-        seen = np.zeros(len(lit), dtype=bool)
-        for rows in portions(np.arange(len(lit)), 4):
-            some = lit if len(rows) == len(lit) else lit.take(rows)
-            clear = visible_samples(self.context, some, np.ones(len(rows), dtype=bool))
-            seen[rows] = clear.any(axis=0) | (sizes(some) > _SMALL_M)
+        seen = sizes(lit) > _SMALL_M
+        for is_thorough in (False, True):  # most are seen at the point inside
+            rest = np.flatnonzero(~seen & ~(lit.is_ray & is_thorough))
+            for rows in portions(rest, 4):
+                thoroughly = np.full(len(rows), is_thorough)
+                clear = visible_samples(self.context, lit.take(rows), thoroughly)
+                seen[rows] = clear.any(axis=0)
         return seen
 
     def within(self, limits: Limits) -> "_Search":

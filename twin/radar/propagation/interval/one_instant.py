@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.convergence import BodyEcho, percent, reference_levels
+from twin.radar.propagation.interval.affected import affected_alone, ways_m
 from twin.radar.propagation.interval.bounds import Change, times_within
 from twin.radar.propagation.interval.sums import by_body, over_level
 from twin.radar.propagation.result import Propagation
@@ -65,17 +66,11 @@ def _ways(scene: Scene, half_s: float) -> Array:
     interval to its ends, and its size: of a plate its shorter edge, of a rod its thickness, m,
     (n_moving, 2).
     """
-    first, last = (float(time) for time in np.clip([-half_s, half_s], *scene.span_s))
-    mount = np.asarray(scene.rig.radar.position_m, float)
-    rig = scene.rig.course.path_bound_m(mount, 0.0, first, last)
-    ways = []
+    farthest, ways = ways_m(scene, half_s), []
     for item in scene.objects:
-        if not (item.moves or scene.rig.moves) or not len(item.geometry.faces):
-            continue
-        low, high = item.geometry.vertices_m.min(axis=0), item.geometry.vertices_m.max(axis=0)
-        radius = float(np.linalg.norm(high - low)) / 2
-        own = item.course.path_bound_m((low + high) / 2, radius, first, last)
-        ways.append((rig + own, float(np.sort(high - low)[1])))
+        if item.name in farthest:
+            extent = np.ptp(item.geometry.vertices_m, axis=0)
+            ways.append((farthest[item.name], float(np.sort(extent)[1])))
     return np.array(ways).reshape(-1, 2)
 
 
@@ -90,7 +85,8 @@ def _differences(
     scene: Scene, radar: RadarDesign, fidelity: Fidelity, found: Propagation, spans: int
 ) -> tuple[Array, Array]:
     """Of each body's echo, what direct echoes at other times differ by, and what is reflected more
-    than once; the last row is of what the middle does not hear, (n_bodies + 1,) each.
+    than once; the last row is of what the middle does not hear, (n_bodies + 1,) each. Of bodies
+    that nothing moves, and that nothing that moves may hide, nothing changes.
 
     The direct echoes of all times are followed to the middle, where they and its own would be the
     same if nothing changed: the largest difference from the middle's, and of both ends, is told.
@@ -99,9 +95,10 @@ def _differences(
         radar="optics", radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0
     )
     half_s, bodies = radar.burst_s / 2, found.bodies
+    changing = affected_alone(scene, half_s, found.roles, bodies)
     sums = {}
     for time in times_within(scene, half_s * np.linspace(-1, 1, spans + 1)).tolist():
-        there = trace(scene.after(time), radar, fidelity=direct, followed_s=half_s)
+        there = trace(changing.after(time), radar, fidelity=direct, followed_s=half_s)
         echoes = there.contributions
         followed = replace(echoes, delay_s=echoes.delays_at(-time))
         sums[time] = by_body(radar, bodies, there, followed, paths=False)

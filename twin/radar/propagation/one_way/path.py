@@ -36,8 +36,9 @@ LEVEL = 9
 #: Numbers per reflection in `TracingContext.windows`: twice a direction in its plane, and between
 #: which coordinates along it the patch lies.
 WINDOW = 10
-#: Of the segment to a mirror: its last part, on which occluders are not looked for.
+#: Of the segment to a mirror: its last part, on which the mirror is looked for, ...
 _JUST_BEFORE = 1e-3
+_STEPS = 4  # ... and at least so often the distance from surfaces at which rays start
 #: Cosine between a path and a surface's normal, below which rays begin beside the path.
 _GRAZING = 0.1
 
@@ -256,7 +257,7 @@ def is_clear(
     """Whether the path to a point meets all its mirrors and no occluder: as of `one_way_path`,
     whose field takes longer to set up than the rays to send.
     """
-    return _to_image(context, source, place, off, active).clear
+    return _to_image(context, source, place, off, active, in_parts=True).clear
 
 
 @dataclass(eq=False)
@@ -299,7 +300,11 @@ def _to_image(
     active: Mask,
     unshadowed: bool = False,
     tested: bool = True,
+    in_parts: bool = False,
 ) -> _PathToImage:
+    """``in_parts``: the first hit is looked for on the last part of a segment to a mirror, and any
+    hit before, which is found in half the time of the first hit on all of it.
+    """
     mi = context.mi
     order = dr.gather(mi.UInt32, context.orders, source, active)
     image = gathered(mi, context.positions, 3 * source, active)
@@ -326,14 +331,17 @@ def _to_image(
             dr.gather(mi.UInt32, context.marks, 3 * row + i, has) for i in range(3)
         )
         clear &= ~has | ((t > 0) & (t < distance))
-        begin, reach_m = _onto_path(at, start, direction), t
-        if unshadowed:
-            near = _JUST_BEFORE * t
-            begin, reach_m = at + (t - near) * direction, near
         if tested:
+            begin, reach_m = _onto_path(at, start, direction), t
+            last = begin
+            if unshadowed or in_parts:
+                near = dr.minimum(dr.maximum(_JUST_BEFORE * t, _STEPS * offset(mirror)), t)
+                last, reach_m = dr.select(near < t, at + (t - near) * direction, begin), near
             on_patch = _first_meets(
-                context, begin, direction, reach_m, number, of_wall > 0, has & clear
+                context, last, direction, reach_m, number, of_wall > 0, has & clear
             )
+            if in_parts:
+                on_patch &= ~_is_met(context, begin, direction, t - reach_m, has & on_patch)
             clear &= ~has | on_patch
         facing = normal * dr.select(slope < 0, 1.0, -1.0)
         at = dr.select(has, mirror, at)
@@ -347,8 +355,7 @@ def _to_image(
     if tested and not unshadowed:
         reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
         begin = _onto_path(at, start, towards_radar)
-        shadow = mi.Ray3f(mi.Point3f(begin), mi.Vector3f(towards_radar), reach, 0.0, [])
-        clear &= ~context.world.scene.ray_test(shadow, active=mi.Bool(clear))
+        clear &= ~_is_met(context, begin, towards_radar, reach, clear)
     return _PathToImage(back, length, -towards_radar, clear, mirrors, aim, distance)
 
 
@@ -368,6 +375,15 @@ def along(vector: Vector3, axes: Axes) -> Vector3:
     the radar.
     """
     return type(vector)(*(dr.dot(vector, axis) for axis in axes))
+
+
+def _is_met(
+    context: TracingContext, start: Vector3, direction: Vector3, reach: Real, active: Mask
+) -> Mask:
+    """Whether anything is on segments from a start."""
+    mi = context.mi
+    segment = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction), mi.Float(reach), 0.0, [])
+    return context.world.scene.ray_test(segment, active=mi.Bool(active))
 
 
 def _first_meets(
