@@ -33,6 +33,7 @@ from hardware.reconstruction.motion import Homography as Homography
 from hardware.reconstruction.motion import Layers as Layers
 from hardware.reconstruction.motion import Motion as Motion
 from hardware.reconstruction.motion import MovingBox as MovingBox
+from hardware.reconstruction.motion import PlaneMotion as PlaneMotion
 from hardware.reconstruction.motion import RigMotion as RigMotion
 from hardware.reconstruction.motion import Search as Search
 from hardware.reconstruction.motion import Shift as Shift

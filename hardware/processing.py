@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from hardware.calibration import CameraCalibration, RadarCalibration
 from hardware.errors import InputError
 from hardware.formatting import counted, number, si
+from hardware.motion_of_tracks import MotionOfTracks
 from hardware.radar import Detection
 from hardware.radar.process import Frame, Processing, frames
-from hardware.reconstruction import Method, reconstruct
+from hardware.reconstruction import Method, Reconstruction, reconstruct
 from hardware.reconstruction.motion import Motion, Search
 from hardware.reconstruction.registry import Solve
 from hardware.recording import Log, Received, ros
@@ -39,7 +40,7 @@ def process(
     radar: RadarCalibration | None = None,
     tracks: RadarTracks | None = None,
     sliding: SlidingImages | None = None,
-    motion: Motion | Search | None = None,
+    motion: Motion | Search | MotionOfTracks | None = None,
 ) -> RecordSummary:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
@@ -50,7 +51,8 @@ def process(
     With ``tracks`` the confirmed tracks of each burst follow, in the world's frame
     (`hardware.tracks.cloud`); with ``sliding`` the images are those of its window instead of
     ``method``'s. ``motion`` is what images of whole sets are compensated for
-    (`hardware.reconstruct`).
+    (`hardware.reconstruct`); `MotionOfTracks` takes it from the poses and ``tracks`` of the records
+    before, and needs these.
 
     Raises InputError for a calibration of another device.
     """
@@ -59,7 +61,8 @@ def process(
         if sliding:
             return _images(received, received.record, log, sensor, sliding, camera)
         return _image(received, received.record, log, sensor, method, camera, motion)
-    return _detections(received, received.record, log, sensor, how, radar, tracks)
+    follows = motion if isinstance(motion, MotionOfTracks) else None
+    return _detections(received, received.record, log, sensor, how, radar, tracks, follows)
 
 
 def _image(
@@ -69,9 +72,15 @@ def _image(
     sensor: str,
     method: str | Method | Solve,
     calibration: CameraCalibration | None,
-    motion: Motion | Search | None,
+    motion: Motion | Search | MotionOfTracks | None,
 ) -> RecordSummary:
-    image = reconstruct(record, method, motion=motion)
+    told, warnings = tuple[str, ...](), tuple[str, ...]()
+    if isinstance(motion, MotionOfTracks):
+        supported, words = motion.supported(received, sensor)
+        image, failed = _supported(record, method, supported.motion)
+        told, warnings = (words,), (*supported.warnings, *failed)
+    else:
+        image = reconstruct(record, method, motion=motion)
     cells, unit = image.image, "e-"
     if calibration:
         cells = calibration.reflectance(cells, record, calibration.target.distance_m)
@@ -80,8 +89,21 @@ def _image(
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
     return RecordSummary(
-        (f"image {number(np.nanmin(cells))} to {number(np.nanmax(cells))} {unit}",), image.warnings
+        (f"image {number(np.nanmin(cells))} to {number(np.nanmax(cells))} {unit}", *told),
+        (*image.warnings, *warnings),
     )
+
+
+def _supported(
+    record: SpiRecord, method: str | Method | Solve, motion: Motion | None
+) -> tuple[Reconstruction, tuple[str, ...]]:
+    """The image by a motion that was found, as at rest where it leads too far, and a warning."""
+    try:
+        return reconstruct(record, method, motion=motion), ()
+    except InputError as error:
+        if motion is None:
+            raise
+        return reconstruct(record, method), (f"motion not taken out: {error}",)
 
 
 def _images(
@@ -111,6 +133,7 @@ def _detections(
     how: Processing | None,
     calibration: RadarCalibration | None,
     tracks: RadarTracks | None,
+    follows: MotionOfTracks | None,
 ) -> RecordSummary:
     lines: list[str] = []
     warnings: list[str] = []
@@ -125,6 +148,8 @@ def _detections(
         if tracks:
             time_ns = int(record.device_time_ns[frame.burst].flat[0])
             confirmed = tracks.update(sensor, detections, time_ns, record.pose[frame.burst])
+            if follows:
+                follows.burst(sensor, stamp, record.pose[frame.burst], confirmed)
             points = ros.points(track_cloud(confirmed), stamp, "world")
             log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
             followed = f", {counted(len(confirmed), 'track')}"

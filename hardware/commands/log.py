@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from hardware.calibration import Calibration
     from hardware.drivers import SpiSettings
     from hardware.drivers.radio import Schedule
+    from hardware.motion_of_tracks import MotionOfTracks
+    from hardware.reconstruction.motion import Motion
     from hardware.recording import Received
     from hardware.recording.reading import Ending
     from hardware.records import RadarFrontEnd
@@ -95,6 +97,7 @@ def capture(
 
     loaded, setup = _settings(settings), _setup(radar_setup)
     extrinsics = read_toml(rig) if rig else {}
+    extrinsics.pop("field_deg", None)  # of cameras, for `ugv process --motion radar`
     n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
     endings: dict[str, Ending] = {}
     limits: dict[str, Any] = {"duration_s": duration, "records": records, "endings": endings}
@@ -150,7 +153,18 @@ def process(
         ),
     ] = 0,
     motion: Annotated[
-        str | None, typer.Option(help="How images move within a set, as of `ugv reconstruct`.")
+        str | None,
+        typer.Option(
+            help="How images move within a set: as of `ugv reconstruct`, or `radar`: by the rig's "
+            "poses and the radar's tracks."
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file for --motion radar where the log does not tell: NAME = [x, y, z, qw, "
+            "qx, qy, qz] of each sensor, [field_deg] NAME = [down, along] of the camera."
+        ),
     ] = None,
     detection: DetectionOption = None,
 ) -> None:
@@ -158,6 +172,7 @@ def process(
     from hardware.calibration import CameraCalibration, RadarCalibration
     from hardware.commands.motions import motion_of
     from hardware.interruption import asked_to_end
+    from hardware.motion_of_tracks import MotionOfTracks
     from hardware.processing import process as run
     from hardware.reconstruction import method_of
     from hardware.reconstruction.motion import Search
@@ -166,10 +181,17 @@ def process(
     from hardware.sliding_images import SlidingImages
     from hardware.tracks import RadarTracks
 
-    radar_tracks = RadarTracks() if tracks else None
-    moved = motion_of(motion) if motion is not None else None
-    if image_every and isinstance(moved, Search):
-        raise InputError("--motion: estimate: needs whole sets, expected no --image-every")
+    by_radar = motion == "radar"
+    radar_tracks = RadarTracks() if tracks or by_radar else None
+    if rig and not by_radar:
+        raise InputError("--rig: is for --motion radar")
+    moved: Motion | Search | MotionOfTracks | None = None
+    if by_radar:
+        moved = _motion_of_tracks(source, rig)
+    elif motion is not None:
+        moved = motion_of(motion)
+    if image_every and isinstance(moved, Search | MotionOfTracks):
+        raise InputError(f"--motion: {motion}: needs whole sets, expected no --image-every")
     sliding = SlidingImages(image_every, moved) if image_every else None  # type: ignore[arg-type]
     calibrations = [_calibration(path, max_age) for path in calibration]
     camera = next((one for one in calibrations if isinstance(one, CameraCalibration)), None)
@@ -407,6 +429,25 @@ def _records(
     if ":" not in source and source.endswith(".mcap"):
         return read_records(source, ending)
     return open_source(source, _settings(settings), _setup(radar_setup), over=over, ending=ending)
+
+
+def _motion_of_tracks(source: str, rig: Path | None) -> "MotionOfTracks":
+    """For ``--motion radar``. Raises InputError for a log without records of both sensors."""
+    from hardware.motion_of_tracks import MotionOfTracks
+    from hardware.recording.mounting import Mounting, logged_mounting, read_mounting
+
+    logged, path = Mounting(), source.removeprefix("replay:").partition("?")[0]
+    if path.endswith(".mcap"):
+        logged = logged_mounting(path)
+        for kind in ("SpiRecord", "RadarRecord"):
+            if f"ugv_msgs/msg/{kind}" not in logged.kinds:
+                raise InputError(f"{path}: --motion radar: no {kind} in it, expected both sensors")
+    if rig:
+        given = read_mounting(rig)
+        logged = Mounting(
+            {**logged.poses, **given.poses}, {**logged.fields_rad, **given.fields_rad}
+        )
+    return MotionOfTracks(logged)
 
 
 def _because(ending: "Ending") -> str:

@@ -20,6 +20,8 @@ def motion_of(given: str) -> "Motion | Search":
 
     if given == "estimate":
         return Search()
+    if given == "radar":
+        raise InputError("--motion: radar: is of a log with both sensors: `ugv process LOG`")
     if not given.strip():
         raise InputError(f"--motion: empty, {_EXPECTED}")
     path = Path(given)

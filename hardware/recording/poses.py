@@ -98,7 +98,8 @@ def _pose(reader: Reader) -> QuaternionPose:
     return QuaternionPose(x, y, z, qw, qx, qy, qz)
 
 
-def _transforms(reader: Reader) -> Iterator[_Stamped]:
+def transforms(reader: Reader) -> Iterator[_Stamped]:
+    """Stamp in ns, parent, child and pose of each transform of a tf2_msgs/TFMessage."""
     for _ in range(int(reader.number("uint32"))):
         stamp, parent = _header(reader)
         yield stamp, parent, reader.text(), _pose(reader)
@@ -115,7 +116,7 @@ def _odometry(reader: Reader) -> Iterator[_Stamped]:
 
 
 _KINDS: dict[str, Callable[[Reader], Iterator[_Stamped]]] = {
-    "tf2_msgs/msg/TFMessage": _transforms,
+    "tf2_msgs/msg/TFMessage": transforms,
     "geometry_msgs/msg/PoseStamped": _pose_stamped,
     "nav_msgs/msg/Odometry": _odometry,
 }

@@ -1,5 +1,6 @@
 """Standard messages of ROS 2: images, point clouds, transforms."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -45,6 +46,14 @@ TRANSFORMS = Definition(
     "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
     f"{_RULE}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
     f"{_RULE}MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+    f"{HEADER_PARTS}",
+)
+CAMERA_INFO = Definition(
+    "sensor_msgs/msg/CameraInfo",
+    "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
+    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
+    f"sensor_msgs/RegionOfInterest roi\n{_RULE}MSG: sensor_msgs/RegionOfInterest\n"
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n"
     f"{HEADER_PARTS}",
 )
 _FLOAT32 = 7
@@ -93,6 +102,27 @@ def points(columns: Mapping[str, NDArray[np.floating]], stamp_ns: int, frame: st
     writer.number("uint32", table.nbytes)
     writer.array(np.frombuffer(table.tobytes(), np.uint8))
     writer.number("bool", bool(np.isfinite(table).all()))
+    return writer.message
+
+
+def camera_info(
+    field_rad: tuple[float, float], shape: tuple[int, int], stamp_ns: int, frame: str
+) -> bytes:
+    """Pinhole camera whose image of rows and columns spans these whole angles down and along."""
+    (rows, columns), writer = shape, Writer()
+    down, along = (n / 2 / math.tan(angle / 2) for n, angle in zip(shape, field_rad, strict=True))
+    put_header(writer, stamp_ns, frame)
+    writer.number("uint32", rows)
+    writer.number("uint32", columns)
+    writer.text("plumb_bob")
+    writer.array(np.zeros(5))
+    k = [along, 0.0, columns / 2 - 0.5, 0.0, down, rows / 2 - 0.5, 0.0, 0.0, 1.0]
+    projection = [*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0]
+    for value in (*k, *np.eye(3).ravel(), *projection):
+        writer.number("float64", float(value))
+    for _ in range(6):  # no binning, the whole image
+        writer.number("uint32", 0)
+    writer.number("bool", False)
     return writer.message
 
 

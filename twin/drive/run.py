@@ -13,6 +13,7 @@ import numpy as np
 
 from hardware.recording import Log
 from twin.drive.log import DriveLog
+from twin.drive.mounting import mounting_of
 from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
@@ -120,6 +121,9 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
         record = camera(event.number, event.begin_ns)
         model = plan.camera_clock.model
         log.record("/spi/record", record, host_ns=event.end_ns, clock=model)
+        told = mounting_of(plan, event.begin_ns) if event.number == 0 else ()
+        for topic, definition, message in told:
+            log.message(topic, definition, message, event.end_ns, event.begin_ns)
         middle_ns = (event.begin_ns + event.end_ns) // 2
         for topic, (definition, message) in images_of(camera.truth(middle_ns), middle_ns).items():
             log.message(topic, definition, message, event.end_ns, middle_ns)

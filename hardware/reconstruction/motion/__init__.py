@@ -1,5 +1,6 @@
 """Images of what moves while it is measured: motion given, or found in the measurements."""
 
+from hardware.reconstruction.motion.approach import PlaneMotion
 from hardware.reconstruction.motion.estimation import EstimatedShift, Search, estimated_shift
 from hardware.reconstruction.motion.knobs import Compensation
 from hardware.reconstruction.motion.layers import Layers, MovingBox
@@ -20,6 +21,7 @@ __all__ = [
     "Layers",
     "Motion",
     "MovingBox",
+    "PlaneMotion",
     "RigMotion",
     "Search",
     "Shift",

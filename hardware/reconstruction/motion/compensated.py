@@ -268,10 +268,10 @@ def motion_found(
     estimate = estimated_shift(patterns, timed, noise_variance, search)
     if estimate.is_significant:
         return estimate.shift, ()
-    return None, tuple(_hardly_told(patterns, timed))
+    return None, tuple(hardly_told(patterns, timed))
 
 
-def _hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
+def hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
     """Where patterns of one sequency are all shown at about one time."""
     from scipy.stats import spearmanr  # takes 0.3 s to import
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.reconstruction.motion.approach import PlaneMotion
 from hardware.reconstruction.motion.grid import Grid
 from hardware.reconstruction.motion.model import Motion, Translation, all_finite
 
@@ -43,14 +44,14 @@ class MovingBox:
     left: float
     bottom: float
     right: float
-    motion: Translation
+    motion: Translation | PlaneMotion
 
     def __post_init__(self) -> None:
         edges = (self.top, self.left, self.bottom, self.right)
-        if not isinstance(self.motion, Translation):
+        if not isinstance(self.motion, Translation | PlaneMotion):
             raise InputError(
-                f"motion: box: moves by {type(self.motion).__name__}, expected a Shift or a "
-                "ShiftTrack"
+                f"motion: box: moves by {type(self.motion).__name__}, expected a Shift, a "
+                "ShiftTrack or a PlaneMotion"
             )
         if not all_finite(edges) or self.top >= self.bottom or self.left >= self.right:
             raise InputError(
@@ -88,6 +89,14 @@ class Layers(Motion):
             within = one.motion.sources(time_s, places, shape)
             inside = one.holds(within)
             found[inside] = within[inside]
+        return found
+
+    def brightness(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
+        """See `Motion.brightness`."""
+        found = self.background.brightness(time_s, places, shape)
+        for one in reversed(self.objects):
+            inside = one.holds(one.motion.sources(time_s, places, shape))
+            found[inside] = one.motion.brightness(time_s, places[inside], shape)
         return found
 
     @property

@@ -27,6 +27,12 @@ class Motion(ABC):
         ``shape`` is the image's, rows and columns. Raises InputError where it does not fit.
         """
 
+    def brightness(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
+        """Light that ``places`` (n, 2) show at a time over that of their sources at time 0,
+        ``(n,)``: 1, unless a motion knows better.
+        """
+        return np.ones(len(places))
+
     @property
     def parts(self) -> "tuple[Motion, ...]":
         """What moves without jumps from place to place: all of it, or each layer."""

@@ -141,7 +141,11 @@ class WarpedPatterns:
         check_size(8.0 * n * n * n_cells * len(instants), far)
         check_size(n * n * float(np.prod(high - low + 2)), far)
         self.grid = Grid.around(shape, low - 0.5, high + 0.5, n)
-        parts = [_gathering(s, n_cells, self.grid) for s in sources]
+        times = [*instants.tolist(), 0.0][: len(sources)]
+        parts = [
+            _gathering(s, motion.brightness(t, places, shape), n_cells, self.grid)
+            for t, s in zip(times, sources, strict=True)
+        ]
         self._reference: Any = parts.pop() if layered else None
         self._warp: Any = sparse.vstack(parts, format="csr")
         self._back: Any = self._warp.T.tocsr()
@@ -179,15 +183,15 @@ class WarpedPatterns:
 
     def rows(self, some: NDArray[np.intp]) -> Array:
         """See `MovingPatterns`."""
-        found = np.zeros((len(some), self.grid.shape[0] * self.grid.shape[1]))
         n_cells = self._shape[1]
-        for k, row in enumerate(some):
-            for term, pattern in enumerate(self._timed.rows[:, row]):
-                walsh = hadamard_rows(np.array([pattern]), n_cells)[0].astype(np.float64)
-                for at, weight in zip((self._before, self._after), self._weights, strict=True):
-                    first = int(at[term, row]) * n_cells
-                    part = self._warp[first : first + n_cells]
-                    found[k] += weight[term, row] * (walsh @ part)
+        found = np.zeros((len(some), self.grid.shape[0] * self.grid.shape[1]))
+        for at, weight in zip((self._before, self._after), self._weights, strict=True):
+            for instant in np.unique(at[:, some]):
+                term, row = np.nonzero(at[:, some] == instant)
+                walsh = hadamard_rows(self._timed.rows[term, some[row]], n_cells)
+                weighted = weight[term, some[row], None] * walsh
+                part = self._back[:, instant * n_cells : (instant + 1) * n_cells]
+                np.add.at(found, row, (part @ weighted.T).T)
         if self._timed.centred:
             found -= self._mean
         return found.reshape(-1, *self.grid.shape)
@@ -253,8 +257,10 @@ def _instants(
     return np.array(found)
 
 
-def _gathering(sources: Array, n_cells: int, grid: Grid) -> Any:
-    """Sparse matrix (n_cells, unknowns): the mean of each cell's parts, linear between unknowns."""
+def _gathering(sources: Array, brightness: Array, n_cells: int, grid: Grid) -> Any:
+    """Sparse matrix (n_cells, unknowns): the mean of each cell's parts, linear between unknowns,
+    times their brightness ``(n_parts,)``.
+    """
     from scipy import sparse
 
     n = grid.oversampling
@@ -270,7 +276,7 @@ def _gathering(sources: Array, n_cells: int, grid: Grid) -> Any:
             c = np.clip(corner[:, 1] + along, 0, grid.shape[1] - 1)
             rows.append(cell)
             columns.append(r * grid.shape[1] + c)
-            weights.append(weight / (n * n))
+            weights.append(weight * brightness / (n * n))
     size = (n_cells, grid.shape[0] * grid.shape[1])
     entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
     return sparse.coo_array(entries, shape=size).tocsr()

@@ -1,0 +1,294 @@
+"""How a camera's image moves by what the rig and a radar's tracks tell: proposals, which the
+camera's own measurements must support (`hardware.reconstruction.motion.sightings`).
+"""
+
+from bisect import insort
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.errors import InputError
+from hardware.radar.tracking import TargetTrack
+from hardware.reconstruction.motion.approach import PlaneMotion
+from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.motion.sightings import (
+    MOST_OBJECTS,
+    Sighting,
+    SupportedMotion,
+    motion_by_sightings,
+)
+from hardware.reconstruction.motion.timing import middle_ns
+from hardware.recording.mounting import Mounting
+from hardware.recording.reading import Received
+from hardware.records import QuaternionPose, SpiRecord
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+#: Tracks of one object: places apart by this at most, velocities by so many standard errors.
+_APART_M, _ALIKE, _LEAST_ERROR_M_PER_S = 3.5, 2.0, 0.3
+#: First box of an object: above and below the camera, and beside its tracks, m.
+_ABOVE_M, _BELOW_M, _BESIDE_M = 0.6, 1.2, 0.4
+#: Distances at which a background is looked for, m, and the least that an object may come to.
+_BACKGROUNDS_M, _NEAREST_M = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0), 0.5
+#: Tracks whose velocity or place is less sure than this say nothing.
+_MOST_ERROR_M, _MOST_ERROR_M_PER_S = 1.0, 2.0
+#: What an object moves by in half a frame, at least, cells.
+_LEAST_CELLS = 0.25
+#: Motion of the rig that counts as one.
+_LEAST_M_PER_S, _LEAST_RAD_PER_S = 1e-3, 1e-4
+#: Poses and tracks are kept for so long before the latest.
+_KEPT_NS = 60 * 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A camera at the middle of a frame: pose in the world, velocity (3,) and turn rate (3,) in its
+    own frame, and how long the frame lasts before and after, s.
+    """
+
+    pose: QuaternionPose
+    velocity_m_per_s: Array
+    turn_rad_per_s: Array
+    half_s: float
+
+
+@dataclass
+class MotionOfTracks:
+    """Gathers poses of the rig and tracks of radars; then the motion within a camera's frame.
+
+    Parameters
+    ----------
+    mounting
+        Of the camera and the radars on the rig.
+    """
+
+    mounting: Mounting
+    _poses: list[tuple[int, QuaternionPose]] = field(default_factory=list)
+    _tracks: dict[str, list[tuple[int, tuple[TargetTrack, ...]]]] = field(default_factory=dict)
+
+    def burst(
+        self, sensor: str, stamp_ns: int, pose: QuaternionPose, tracks: Sequence[TargetTrack]
+    ) -> None:
+        """Take in a radar's burst: antenna's pose and confirmed tracks, at a time of the host."""
+        mounted = self._mounted(sensor)
+        turn = pose.rotation * mounted.rotation.inv()
+        place = pose.position_m - turn.apply(mounted.position_m)
+        self._pose(stamp_ns, QuaternionPose.of(place, turn))
+        history = self._tracks.setdefault(sensor, [])
+        history.append((stamp_ns, tuple(tracks)))
+        history[:] = [one for one in history if abs(stamp_ns - one[0]) < _KEPT_NS]
+
+    def supported(self, received: Received, sensor: str) -> tuple[SupportedMotion, str]:
+        """The motion within a camera's frame that its measurements support, and what it is of.
+
+        Raises InputError where the camera's mounting or field is unknown.
+        """
+        record = received.record
+        assert isinstance(record, SpiRecord)
+        mounted, angles = self._mounted(sensor), self._field(sensor)
+        begin, middle, end = _times_ns(received, record)
+        self._pose(begin, record.pose)
+        half_s = 5e-10 * (end - begin)
+        rig, velocity, turn = self._rig(begin, middle, end)
+        view = _View(
+            QuaternionPose.of(
+                rig.position_m + rig.rotation.apply(mounted.position_m),
+                rig.rotation * mounted.rotation,
+            ),
+            mounted.rotation.inv().apply(velocity + np.cross(turn, mounted.position_m)),
+            mounted.rotation.inv().apply(turn),
+            half_s,
+        )
+        tracks, untold = self._tracks_at(begin, middle, end)
+        shape = record.patterns.rows, record.patterns.columns
+        objects = _sightings(tracks, view, angles, shape)
+        moves = np.linalg.norm(velocity) > _LEAST_M_PER_S or np.linalg.norm(turn) > _LEAST_RAD_PER_S
+        backgrounds = _backgrounds(view, angles) if moves else ()
+        found = motion_by_sightings(record, backgrounds, objects)
+        return found, _told(found, len(tracks), untold, min(len(objects), MOST_OBJECTS))
+
+    def _pose(self, stamp_ns: int, pose: QuaternionPose) -> None:
+        insort(self._poses, (stamp_ns, pose))
+        self._poses = [one for one in self._poses if abs(stamp_ns - one[0]) < _KEPT_NS]
+
+    def _rig(self, begin: int, middle: int, end: int) -> tuple[QuaternionPose, Array, Array]:
+        """Pose in the world at the middle, velocity and turn rate in the rig's frame; as at rest
+        where but one pose is known.
+        """
+        span = end - begin
+        near = [one for one in self._poses if begin - span <= one[0] <= end + span]
+        within = [one for one in near if begin <= one[0] <= end]
+        used = within if len(within) > 1 else near
+        (first_ns, first), (last_ns, last) = used[0], used[-1]
+        if last_ns == first_ns:
+            return last, np.zeros(3), np.zeros(3)
+        elapsed_s = 1e-9 * (last_ns - first_ns)
+        velocity = (last.position_m - first.position_m) / elapsed_s
+        turn = (first.rotation.inv() * last.rotation).as_rotvec() / elapsed_s
+        since_s = 1e-9 * (middle - first_ns)
+        rotation = first.rotation * _turned(since_s * turn)
+        pose = QuaternionPose.of(first.position_m + since_s * velocity, rotation)
+        return pose, np.asarray(rotation.inv().apply(velocity)), turn
+
+    def _tracks_at(self, begin: int, middle: int, end: int) -> tuple[list[TargetTrack], str]:
+        """Tracks with a place as they are at the middle of the frame; why there are none."""
+        found: list[TargetTrack] = []
+        seen, placed = 0, 0
+        for history in self._tracks.values():
+            here = [one for one in history if begin <= one[0] <= end]
+            if not here:
+                continue
+            stamp_ns, tracks = min(here, key=lambda one: -one[0])
+            seen += len(tracks)
+            for track in tracks:
+                if track.estimate.has_position:
+                    placed += 1
+                    found.append(_back(track, 1e-9 * (middle - stamp_ns)))
+        if not any(begin <= one[0] <= end for each in self._tracks.values() for one in each):
+            return [], "no burst of a radar in the frame's time"
+        if seen and not placed:
+            return [], f"none of {seen} tracks has an azimuth: one antenna tells distances alone"
+        return found, "" if seen else "no tracks in the frame's time"
+
+    def _mounted(self, sensor: str) -> QuaternionPose:
+        frame = sensor.strip("/").split("/")[0]
+        if frame not in self.mounting.poses:
+            known = ", ".join(sorted(self.mounting.poses)) or "none"
+            raise InputError(
+                f"--motion radar: the pose of {frame!r} on the rig is unknown (known: {known}): "
+                "expected it in the log's /tf_static, or in the file of --rig"
+            )
+        return self.mounting.poses[frame]
+
+    def _field(self, sensor: str) -> tuple[float, float]:
+        frame = sensor.strip("/").split("/")[0]
+        if frame not in self.mounting.fields_rad:
+            raise InputError(
+                f"--motion radar: the field of {frame!r} is unknown: expected a "
+                "sensor_msgs/CameraInfo in the log, or [field_deg] in the file of --rig"
+            )
+        return self.mounting.fields_rad[frame]
+
+
+def _times_ns(received: Received, record: SpiRecord) -> tuple[int, int, int]:
+    """Beginning, middle and end of a frame on the host's clock."""
+    first, last = int(record.device_time_ns[0]), int(record.device_time_ns[-1])
+    device = first, middle_ns(record), last + round(1e9 * record.integration_time_s)
+    if received.clock is None:  # it came when it was complete
+        return tuple(received.host_ns + one - device[2] for one in device)  # type: ignore[return-value]
+    return tuple(received.clock.host_ns(one) for one in device)  # type: ignore[return-value]
+
+
+def _turned(rotation_vector: Array) -> "Rotation":
+    from scipy.spatial.transform import Rotation  # takes 0.1 s to import
+
+    return Rotation.from_rotvec(rotation_vector)
+
+
+def _back(track: TargetTrack, elapsed_s: float) -> TargetTrack:
+    """A track at another time, at constant velocity."""
+    step = np.kron([[1.0, elapsed_s], [0.0, 1.0]], np.eye(2))
+    return replace(track, state=step @ track.state, covariance=step @ track.covariance @ step.T)
+
+
+def _groups(tracks: Sequence[TargetTrack]) -> list[list[TargetTrack]]:
+    """Tracks near the surest one of each group that move as it does."""
+    groups: list[list[TargetTrack]] = []
+    for track in sorted(tracks, key=lambda one: float(np.trace(one.covariance[2:, 2:]))):
+        for group in groups:
+            if _alike(track, group[0]):
+                group.append(track)
+                break
+        else:
+            groups.append([track])
+    return groups
+
+
+def _alike(one: TargetTrack, other: TargetTrack) -> bool:
+    apart = one.state - other.state
+    error = np.sqrt(np.diag(one.covariance + other.covariance)[2:] + _LEAST_ERROR_M_PER_S**2)
+    return bool(np.hypot(*apart[:2]) < _APART_M and (np.abs(apart[2:]) < _ALIKE * error).all())
+
+
+def _sightings(
+    tracks: Sequence[TargetTrack],
+    view: _View,
+    field_rad: tuple[float, float],
+    shape: tuple[int, int],
+) -> tuple[Sighting, ...]:
+    """Groups of tracks as boxes in the image, the nearest first."""
+    sure = []
+    for track in tracks:
+        errors = np.sqrt(np.diag(track.covariance))
+        if errors[:2].max() < _MOST_ERROR_M and errors[2:].max() < _MOST_ERROR_M_PER_S:
+            sure.append(track)
+    found = [_sighting(group, view, field_rad, shape) for group in _groups(sure)]
+    seen = [one for one in found if one is not None]
+    return tuple(sorted(seen, key=lambda one: one.motion.depth_m))
+
+
+def _sighting(
+    group: Sequence[TargetTrack],
+    view: _View,
+    field_rad: tuple[float, float],
+    shape: tuple[int, int],
+) -> Sighting | None:
+    """None for what is not ahead all the time, not in the image at the middle of the frame, or as
+    good as at rest.
+    """
+    back = view.pose.rotation.inv()
+    states = np.array([one.state for one in group])
+    level = np.zeros(len(group))
+    places = back.apply(np.column_stack([states[:, :2], level + view.pose.z_m]) - view.pose[:3])
+    weights = np.array([1 / np.trace(one.covariance[2:, 2:]) for one in group])
+    mean = np.average(states[:, 2:], axis=0, weights=weights)
+    velocity = back.apply([*mean, 0.0]) - view.velocity_m_per_s
+    depth = float(places[:, 0].min())
+    if depth - abs(velocity[0]) * view.half_s < _NEAREST_M:
+        return None
+    scale = np.array(shape) / 2 / np.tan(np.array(field_rad) / 2) / depth
+    middle = (np.array(shape) - 1) / 2
+    left, right = places[:, 1].max() + _BESIDE_M, places[:, 1].min() - _BESIDE_M
+    edges = (
+        float(middle[0] - scale[0] * _ABOVE_M),
+        float(middle[1] - scale[1] * left),
+        float(middle[0] + scale[0] * _BELOW_M),
+        float(middle[1] - scale[1] * right),
+    )
+    if edges[3] < -0.5 or edges[1] > shape[1] - 0.5:
+        return None
+    if float(np.abs(velocity).max()) * view.half_s * scale.max() < _LEAST_CELLS:
+        return None
+    ahead, across, up = velocity.tolist()
+    plane = PlaneMotion(depth, (ahead, across, up), field_rad, _three(view.turn_rad_per_s))
+    return Sighting(edges, plane, float(1 / np.sqrt(weights.sum())))
+
+
+def _backgrounds(view: _View, field_rad: tuple[float, float]) -> tuple[Motion, ...]:
+    """What stands still, at some distance."""
+    velocity = _three(-view.velocity_m_per_s)
+    nearest = abs(velocity[0]) * view.half_s + _NEAREST_M
+    turn = _three(view.turn_rad_per_s)
+    return tuple(
+        PlaneMotion(depth, velocity, field_rad, turn) for depth in _BACKGROUNDS_M if depth > nearest
+    )
+
+
+def _three(vector: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
+
+
+def _told(found: SupportedMotion, tracks: int, untold: str, objects: int) -> str:
+    """In a few words."""
+    if found.motion is None:
+        because = untold or "the measurements are no likelier by any"
+        return f"motion: none taken out: {because}"
+    told = f"{found.objects} of {objects} objects of {tracks} tracks"
+    return f"motion: by rig and radar, {told}" + (f"; {untold}" if untold else "")
