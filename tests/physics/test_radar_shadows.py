@@ -186,12 +186,13 @@ def test_objects_that_touch_shade_as_one() -> None:
     assert abs(echo(*plates) - due) < 0.03
 
 
-@pytest.mark.parametrize("gap", [0.01, 0.03, 0.1])
+@pytest.mark.parametrize("gap", [0.01, 0.03, 0.1, 0.3, 1.0, 3.0])
 @pytest.mark.parametrize("kind", ["slit", "jut", "layers"])
-def test_screens_close_behind_each_other_have_one_outline(kind: str, gap: float) -> None:
+def test_screens_behind_each_other_are_kirchhoffs_double_integral(kind: str, gap: float) -> None:
     """Two plates that do not touch: with 2 to 20 mm between them as seen from the radar, or one 2
     to 20 mm beyond the other's edge, or one almost behind the other, against Kirchhoff's integral
-    over both planes. One outline is off by 0.14 at 10 cm of 5 m; two whole ones by 0.3 to 0.5.
+    over both planes. To 20 cm they have one outline, which is off by 0.14 at 10 cm; two whole ones
+    are off by 0.3 to 0.5. Farther apart waves over an edge of each are added: 0.3 to 0.7 without.
     """
     for seed in range(4):
         rng = np.random.default_rng([seed, len(kind)])
@@ -209,7 +210,7 @@ def test_screens_close_behind_each_other_have_one_outline(kind: str, gap: float)
         place = (10.0, rng.uniform(-0.05, 0.05), 0.02)
         objects = [rectangle(f"plate {x}", y, z, x=x) for x, y, z in plates]
         due = field_behind(plates, np.array(place), K) ** 2
-        assert abs(echo(*objects, at=point(place)) - due) < 0.02 + 0.4 * np.sqrt(gap)
+        assert abs(echo(*objects, at=point(place)) - due) < 0.02 + 0.4 * np.sqrt(min(gap, 0.1))
 
 
 @pytest.mark.parametrize("at", [-0.06, -0.03, -0.01, 0.0, 0.01, 0.02])

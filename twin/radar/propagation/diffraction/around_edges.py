@@ -4,8 +4,9 @@ The direct wave is there or not (geometrical optics). Every edge of an obstacle'
 diffracted wave (`knife_edge`): in the shadow it is the whole field, on the lit side a ripple, and
 at the shadow's border it makes the field continuous. Each diffracted path has its own length, over
 the edge or over an end of it, and rays test that nothing else blocks it. Where the obstacle itself
-blocks it, the path takes two edges: one seen from the radar and one seen from the point. On a path
-over mirrors, obstacles are looked for on every segment: before each mirror and behind the last.
+blocks it, the path takes two edges: one seen from the radar and one seen from the point; where
+another obstacle stands behind it, one of each (`two_obstacles`). On a path over mirrors, obstacles
+are looked for on every segment: before each mirror and behind the last.
 
 Obstacles are opaque and black, as in Kirchhoff's theory. Left out are the effects of their material
 and of the angle between their faces, a third edge on a path, and waves that creep around curved
@@ -32,6 +33,11 @@ from twin.radar.propagation.diffraction.rims import (
     near_edges,
     rim_paths,
 )
+from twin.radar.propagation.diffraction.two_obstacles import (
+    candidates,
+    open_beside,
+    over_two_obstacles,
+)
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
 from twin.radar.propagation.one_way.path import TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
@@ -47,6 +53,7 @@ Indices = NDArray[np.int64]
 
 _PAIRS = 2**20  # of points and edges, at once
 _NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
+_NOTHING, _NO_WAY = -1, -2  # instead of the number of an object that blocks a path
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
 
@@ -97,12 +104,16 @@ class Screens:
         parts of a body that points are their ``own`` of, from the radar or an image of it, relative
         to the anchor, to points so far from there.
         """
+        return self.rims_from(source).of(item, reach_m, own)
+
+    def rims_from(self, source: Array) -> OuterRims:
+        """From the radar or an image of it."""
         if (key := source.tobytes()) not in self.rims:
             alone = int(self.body.max(initial=-1)) + 1 + np.arange(len(self.items))
             owner = np.where(self.body >= 0, self.body, alone)
             outlines = partial(self.outline, place=source)
             self.rims[key] = OuterRims(self.prepared, self.items, owner, outlines, source)
-        return self.rims[key].of(item, reach_m, own)
+        return self.rims[key]
 
 
 def screens(
@@ -123,6 +134,19 @@ def screens(
         boxes=boxes_of(items) - prepared.anchor_m,
         faintest=float(10 ** (-shadow_db / 20)),
     )
+
+
+class _Singles(NamedTuple):
+    """Paths over one edge or over an end of one; whether each is open; and what blocks it."""
+
+    paths: DiffractedPaths
+    is_open: NDArray[np.bool_]
+    blocker: Indices
+
+
+def _together(parts: list[_Singles]) -> _Singles:
+    paths, *rest = zip(*parts, strict=True)
+    return _Singles(DiffractedPaths.concatenate(paths), *(np.concatenate(part) for part in rest))
 
 
 class AllPaths(NamedTuple):
@@ -195,6 +219,7 @@ class Segment:
 
     def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
         """Clear diffracted paths to active points, around every obstacle but their own body."""
+        singles = []
         for item in self.near_any(active):
             strange = (own < 0) | (own != self.obstacles.body[item])
             rows = np.flatnonzero(active & strange & self.beside(item))
@@ -203,7 +228,11 @@ class Segment:
                 step = max(1, _PAIRS // max(len(rim.ends), 1))
                 if len(rim.ends):
                     for part in np.split(group, range(step, len(group), step)):
-                        yield from self._round(item, rim, part)
+                        single, *more = self._round(item, rim, part)
+                        singles.append(single)
+                        yield from more
+        if singles:
+            yield from self._round_two(_together(singles))
 
     def rim(self, item: int, rows: Indices, own: int, around_m: float = 0.0) -> Outline:
         """Edges of an obstacle's outline that may diffract a wave to points of a body, or to a
@@ -254,13 +283,35 @@ class Segment:
         beside: NDArray[np.bool_] = gap <= widest + around_m
         return beside
 
-    def _round(self, item: int, rim: Outline, rows: Indices) -> Iterator[DiffractedPaths]:
+    def _round(
+        self, item: int, rim: Outline, rows: Indices
+    ) -> tuple[_Singles, DiffractedPaths, DiffractedPaths]:
+        """Over one edge, over two where the points see another one than the source, and over that
+        alone.
+        """
         paths = self._over(item, rim, rows)
-        is_open = self._is_open(paths)
-        two, alone, is_open = self._twice(item, rows, paths, is_open)
-        yield paths.take(is_open)
-        for more in (two, alone):
-            yield more.take(self._is_open(more))
+        blocker = self._blocker(paths)
+        two, alone, is_open = self._twice(item, rows, paths, blocker == _NOTHING)
+        single = _Singles(paths, is_open, blocker)
+        return single, two.take(self._is_open(two)), alone.take(self._is_open(alone))
+
+    def _round_two(self, one: _Singles) -> Iterator[DiffractedPaths]:
+        """Over an edge each of one or two obstacles."""
+        o, is_open = self.obstacles, one.is_open
+        at_m = np.linalg.norm(one.paths.stops[:, 0] - self.source, axis=1)
+        reach_m = np.linalg.norm(self.seen - self.source, axis=1)
+        for pairs in candidates(one.paths, self.source):
+            reach = reach_m[one.paths.point[pairs[:, 0]]]
+            singly = o.rims_from(self.source).passed_singly(
+                one.paths.item[pairs], at_m[pairs], reach
+            )
+            if singly.any():
+                k = o.wavenumber
+                two = over_two_obstacles(one.paths, pairs[singly], self.source, self.seen, k)
+                is_open = open_beside(two, one.paths, is_open, one.blocker)
+                both = two.paths.take(np.abs(two.paths.amplitude) >= o.faintest)
+                yield both.take(self._is_open(both))
+        yield one.paths.take(is_open)
 
     def _over(
         self,
@@ -299,8 +350,11 @@ class Segment:
         return two.take(matters), rest.take(once), is_open
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
+        return self._blocker(paths) == _NOTHING
+
+    def _blocker(self, paths: DiffractedPaths) -> Indices:
         turns = self.turns(paths, paths.stops + paths.aside)
-        return _is_open(self.obstacles.prepared, turns, self.off[paths.point])
+        return _blocker(self.obstacles.prepared, turns, self.off[paths.point])
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:
@@ -340,39 +394,36 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
     return reflection_point
 
 
-def _is_open(prepared: PreparedScene, chain: Array, off: Array) -> NDArray[np.bool_]:
-    """Whether nothing stands between any two vertices that follow each other."""
-    mi, scene = prepared.context.mi, prepared.world.scene
-    is_open = np.asarray(np.isfinite(chain).all(axis=(0, 2)))
+def _blocker(prepared: PreparedScene, chain: Array, off: Array) -> Indices:
+    """Number of the object that stands first between two vertices that follow each other, (n,)."""
+    blocker = np.where(np.isfinite(chain).all(axis=(0, 2)), _NOTHING, _NO_WAY)
     for k in range(len(chain) - 1):
-        rows = np.flatnonzero(is_open)
-        if not len(rows):
-            break
-        begin, end = chain[k, rows] + (off[rows] if k == 0 else 0), chain[k + 1, rows]
-        length = np.linalg.norm(end - begin, axis=1, keepdims=True)
-        direction = (end - begin) / np.maximum(length, 1e-300)
-        reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
-        ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
-        ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
-        is_open[rows] = ~np.array(scene.ray_test(ray, active=mi.Bool(aligned(reach > 0))))
-    return is_open
+        rows = np.flatnonzero(blocker == _NOTHING)
+        begin = chain[k, rows] + (off[rows] if k == 0 else 0)
+        blocker[rows] = _first_between(prepared, begin, chain[k + 1, rows])
+    return blocker
+
+
+def _first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices:
+    """Number of the object that rays from points to others (n, 3) first meet, -1: none."""
+    if not len(begin):
+        return np.zeros(0, dtype=np.int64)  # the engine aborts the process on none
+    mi = prepared.context.mi
+    length = np.linalg.norm(end - begin, axis=1, keepdims=True)
+    direction = (end - begin) / np.maximum(length, 1e-300)
+    reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
+    ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
+    ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
+    active = mi.Bool(aligned(reach > 0))
+    hit = prepared.world.scene.ray_intersect_preliminary(ray, active=active)
+    is_met, face = host([hit.is_valid(), hit.prim_index], len(begin))
+    objects = prepared.world.object_of_face.astype(np.int64)
+    return np.where(is_met, objects[np.where(is_met, face, 0)], _NOTHING)
 
 
 def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
     """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
-    if not len(places):
-        return np.zeros(0, dtype=np.int64)  # the engine aborts the process on none
-    mi = prepared.context.mi
-    begin = places + off
-    length = np.linalg.norm(source - begin, axis=1, keepdims=True)
-    direction = (source - begin) / np.maximum(length, 1e-300)
-    reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
-    ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
-    ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
-    hit = prepared.world.scene.ray_intersect_preliminary(ray)
-    is_met, face = host([hit.is_valid(), hit.prim_index], len(places))
-    objects = prepared.world.object_of_face.astype(np.int64)
-    return np.where(is_met, objects[np.where(is_met, face, 0)], -1)
+    return _first_between(prepared, places + off, np.broadcast_to(source, places.shape))
 
 
 def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:

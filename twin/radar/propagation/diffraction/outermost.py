@@ -32,8 +32,8 @@ _MOST_PIECES = 256, 2**15  # of an edge, and of an object
 _BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
 #: Gap between a rim and what goes on before or behind it, times the sum of the inverse distances
 #: from the source to the nearer and from the farther to the point: from there on waves pass between
-#: both.
-_APART = 0.3
+#: both: of objects that touch, and of others, whose waves over both edges are known.
+_APART, _APART_SINGLY = 0.3, 0.1
 #: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 #: How far aside rays look at most, of the same root, and at how many distances.
@@ -46,28 +46,29 @@ _ALIKE = 0.9  # cosine between directions across rims one behind the other
 @dataclass(frozen=True, eq=False)
 class _Pieces:
     """Pieces of outlines, (n,): of each the ``edge`` and its number there, ``piece``, of ``count``;
-    its unit vector of ``sight`` (n, 3); and at distances aside, (n, steps), from which distance of
-    points on what is met there hides it, inf: never, NaN: not known yet.
+    the ``group`` of its object; its unit vector of ``sight`` (n, 3); and at distances aside,
+    (n, steps), from which distance of points on what is met there hides it, inf: never, NaN: not
+    known yet.
     """
 
     outline: Outline
     edge: Indices
     piece: Indices
     count: Indices
+    group: Indices
     sight: Array
     aside_m: Array
     from_m: Array
 
     @staticmethod
-    def of(rim: Outline, wavelength_m: float) -> "_Pieces":
+    def of(rim: Outline, group: int, wavelength_m: float) -> "_Pieces":
         """Of an outline, nothing known yet."""
         pieces, edge, piece, count = _pieces(rim, wavelength_m)
         middle = pieces.ends.mean(axis=1)
         sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
         aside_m = _aside_m(middle, wavelength_m)
-        return _Pieces(
-            pieces, edge, piece, count[edge], sight, aside_m, np.full_like(aside_m, np.nan)
-        )
+        unknown, groups = np.full_like(aside_m, np.nan), np.full(len(edge), group)
+        return _Pieces(pieces, edge, piece, count[edge], groups, sight, aside_m, unknown)
 
     def take(self, which: Indices) -> "_Pieces":
         """Only some of them, by index."""
@@ -160,7 +161,9 @@ class OuterRims:
     def _of(self, item: int, own: int) -> _Pieces:
         own = own if own in self._owner[self._close[item]] else -1
         if (item, own) not in self._pieces:
-            self._pieces[item, own] = _Pieces.of(self._outline(item), self._wavelength_m)
+            self._pieces[item, own] = _Pieces.of(
+                self._outline(item), int(self._group[item]), self._wavelength_m
+            )
         return self._pieces[item, own]
 
     def _known(self, item: int, own: int, rows: Indices | None = None) -> _Pieces:
@@ -181,9 +184,16 @@ class OuterRims:
         met_m, what = _first_met(self._prepared, is_part, self._source, towards.reshape(-1, 3))
         met_m, what = met_m.reshape(pieces.aside_m.shape), what.reshape(pieces.aside_m.shape)
         rim_m = pieces.distance_m[:, None]
+        touches = (what >= 0) & (self._group[what] == self._group[item])
+        from_m = _one_from_m(rim_m, met_m, np.where(touches, _APART, _APART_SINGLY))
         # What touches the object before the rim hides it however far before.
-        is_before = (what >= 0) & (self._group[what] == self._group[item]) & (met_m < rim_m)
-        return np.where(is_before, 0.0, _one_from_m(rim_m, met_m))
+        return np.where(touches & (met_m < rim_m), 0.0, from_m)
+
+    def passed_singly(self, items: Indices, at_m: Array, reach_m: Array) -> Flags:
+        """Whether waves to points pass edges of two objects, (n, 2), one after the other."""
+        from_m = _one_from_m(at_m[:, 0], at_m[:, 1], np.full(len(at_m), _APART_SINGLY))
+        is_strange = self._group[items[:, 0]] != self._group[items[:, 1]]
+        return np.asarray(is_strange & (from_m >= reach_m))
 
 
 class _Group:
@@ -299,15 +309,15 @@ def _aside_m(middle: Array, wavelength_m: float) -> Array:
     return aside
 
 
-def _one_from_m(one_m: Array, other_m: Array) -> Array:
+def _one_from_m(one_m: Array, other_m: Array, apart: Array) -> Array:
     """Distance of points from which on what stands at two distances from the source, one before the
-    other, has one outline; inf: never.
+    other, has one outline, by the gap over distance that sets both apart; inf: never.
     """
     near, far = np.minimum(one_m, other_m), np.maximum(one_m, other_m)
     with np.errstate(divide="ignore", invalid="ignore"):
         gap = far - near
-        behind = gap / (_APART - gap / near)
-    return np.where(gap < _APART * near, far + behind, np.inf)
+        behind = gap / (apart - gap / near)
+    return np.where(gap < apart * near, far + behind, np.inf)
 
 
 def _room_m(aside_m: Array, is_met: Flags) -> Array:
@@ -340,7 +350,9 @@ def _behind_others(some: _Pieces) -> tuple[Indices, Indices, Array]:
     is_same = np.sum(lit[near] * lit[far], axis=1) > _ALIKE
     is_same &= (along < length[near] / 2) & (across < beside[near])
     near, far = near[is_same], far[is_same]
-    return far, near, _one_from_m(distance[near], distance[far])
+    touches = some.group[near] == some.group[far]
+    apart = np.where(touches, _APART, _APART_SINGLY)
+    return far, near, _one_from_m(distance[near], distance[far], apart)
 
 
 def _runs(pieces: _Pieces, room_m: Array) -> tuple[Outline, Indices]:

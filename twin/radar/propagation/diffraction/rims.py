@@ -310,10 +310,22 @@ def consecutive_edges(
     return i[rows][first], j[rows][first]
 
 
+def into_light(paths: DiffractedPaths, source: Array) -> Array:
+    """Unit vectors (n, 3) across edges and the paths to them, into the light."""
+    across = np.cross(paths.along, paths.stops[:, 0] - source)
+    return _unit(across * np.sign(np.sum(across * paths.aside[:, 0], axis=1))[:, None])
+
+
 def double_edge_paths(
-    source: Array, places: Array, near: DiffractedPaths, far: DiffractedPaths, wavenumber: float
+    source: Array,
+    places: Array,
+    near: DiffractedPaths,
+    far: DiffractedPaths,
+    wavenumber: float,
+    cosine: Array | float = 1.0,
 ) -> tuple[DiffractedPaths, Array, NDArray[np.bool_]]:
-    """Paths from a source to points (n, 3) over two edges, given the paths over each alone.
+    """Paths from a source to points (n, 3) over two edges, given the paths over each alone;
+    ``cosine`` of the angle between the directions into their light.
 
     Returns the paths; 1 - correlation^2 of the edges (see `double_knife_edge`), 0 where both are
     one edge; and whether the path over ``near``, or over ``far``, alone remains beside it, (n, 2).
@@ -331,7 +343,7 @@ def double_edge_paths(
     amplitude, alone = double_knife_edge(
         wavenumber * np.stack([one.longer_m, other.longer_m], axis=1),
         np.stack([one.lit_m > 0, other.lit_m > 0], axis=1),
-        correlation,
+        cosine * correlation,
     )
     paths = replace(
         one,
