@@ -20,6 +20,8 @@ from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.materials import radio_properties
 from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
 from twin.radar.propagation.sionna.paths import sionna_paths
+from twin.report.radar_findings import radar_finding
+from twin.report.summary import summary
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun, Target, load_scene
 from twin.scene.materials import load_materials
 
@@ -405,3 +407,16 @@ def test_a_strong_echo_clips_and_is_flagged() -> None:
     taken = radar_capture(world(targets=(target((0.5, 0, 0), rcs_m2=1e3),)), radar)
     assert taken.record.flags.all()
     assert any("clip" in w for w in taken.warnings)
+
+
+def test_a_converter_of_two_bits_that_reads_nothing_is_told() -> None:
+    """Its step of 2^14 counts is above all that comes: summaries divided by the map's noise, 0."""
+    radar = changed(load_radar("hybrid-79-slow"), front_end__adc_bits=2)
+    taken = radar_capture(world(targets=(target((20.0, 0, 0)),)), radar)
+    assert not taken.record.iq.any()
+    assert [w.kind for w in taken.warnings if w.void] == ["underexposed"]
+    found = evaluate_radar(radar, taken)
+    assert "missed: t (the map is empty)" in str(found)
+    [hit] = [f for f in summary(None, [], found)["figures"] if f["name"] == "targets detected"]
+    assert (hit["value"], hit["noise"]) == (0, 0)
+    assert "a higher gain" in str(radar_finding(found))

@@ -10,14 +10,17 @@ import pytest
 
 import hardware
 from benchmarks.noise_intervals import camera_draws, coverage, radar_draws
+from twin.accuracy import Interval
 from twin.camera import capture
 from twin.camera.acquisition import measure
 from twin.camera.evaluation import evaluate
 from twin.camera.intervals import psnr_interval, signal_interval, ssim_interval
 from twin.camera.light import render
 from twin.fidelity import Fidelity
-from twin.radar import load_radar
+from twin.radar import load_radar, radar_capture
+from twin.radar.evaluation import evaluate_radar
 from twin.report.measured import noise_found
+from twin.report.summary import summary
 from twin.scene import load_scene
 from twin.system import System, load_system
 
@@ -114,6 +117,23 @@ def test_detections_with_another_seed_are_within_their_intervals() -> None:
     assert len(covered) >= 15
     assert np.mean(list(covered.values())) >= 0.93
     assert min(covered.values()) >= 0.75
+
+
+def test_snr_scatters_with_the_level_and_with_the_noise_of_the_map() -> None:
+    """Of the strongest echo the level is sure to 0.005 dB, the noise of a map of 512 x 32 cells to
+    0.1: over 20 seeds.
+    """
+    slots = {"waveform.n_slots": 32, "waveform.n_subcarriers": 512, "waveform.repeats": 20}
+    spacing = {"waveform.subcarrier_spacing_hz": 2e6, "waveform.prefix_s": 5e-7}
+    radar, scene = load_radar("hybrid-79").with_({**slots, **spacing}), load_scene("yard")
+    drawn = []
+    for seed in range(20):
+        taken = radar_capture(scene, radar, seed=seed, fidelity=Fidelity(radar="targets"))
+        figures = summary(None, [], evaluate_radar(radar, taken))["figures"]
+        [snr] = [f for f in figures if f["name"] == "SNR" and f["of"][-1] == "trihedral"]
+        drawn.append(Interval(snr["value"], noise=snr["noise"]))
+    assert coverage(drawn) >= 0.85
+    assert drawn[0].noise <= 2 * np.std([interval.value for interval in drawn], ddof=1)
 
 
 def test_targets_near_the_threshold_are_counted_with_their_scatter() -> None:

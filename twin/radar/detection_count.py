@@ -58,6 +58,8 @@ def targets_detected(evaluation: RadarEvaluation) -> Interval:
 
 def _probability(snr_db: Array, evaluation: RadarEvaluation) -> Array:
     """Of detection at SNRs (n_targets,) of a channel, for each loss, (n_losses, n_targets)."""
+    if not evaluation.image.noise_w:
+        return np.zeros((1, len(snr_db)))  # every draw is the same
     freedom = 2 * evaluation.image.n_channels
     losses_db = np.linspace(0.0, _MOST_LOST_DB, 7)[:, None]
     threshold = 10 ** ((threshold_db(evaluation) + losses_db) / 10)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.formatting import number
+from hardware.records import RadarRecord
 from hardware.waveform import C_M_PER_S
 from twin.accuracy import Decision
 from twin.geometry import are_too_large, shapes_of
@@ -67,7 +68,7 @@ def warnings(
     radar: RadarDesign,
     bursts: Sequence[Propagation],
     truth: tuple[TrueTarget, ...],
-    flags: NDArray[np.uint8],
+    record: RadarRecord,
     solver: Solver,
 ) -> tuple[CaptureWarning, ...]:
     """What contradicts itself; the scene is that of the first burst."""
@@ -105,10 +106,13 @@ def warnings(
         what = "noise and leakage" if radar.leakage else "noise"
         text = f"no echo at all: the record holds {what} only"
         messages.append(CaptureWarning("no-echo", text))
-    if flags.any():
-        clipped = int(np.count_nonzero(flags))
-        text = f"{clipped} of {flags.size} slots clip: lower front_end.noise_counts"
-        messages.append(CaptureWarning("saturated", text, void=clipped == flags.size))
+    clipped, n_slots = int(np.count_nonzero(record.flags)), record.flags.size
+    if clipped:
+        text = f"{clipped} of {n_slots} slots clip: lower front_end.noise_counts"
+        messages.append(CaptureWarning("saturated", text, void=clipped == n_slots))
+    elif not record.iq.any():
+        text = "all counts are 0: raise front_end.noise_counts, or front_end.adc_bits"
+        messages.append(CaptureWarning("underexposed", text, void=True))
     return tuple(messages)
 
 

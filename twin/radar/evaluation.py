@@ -81,12 +81,17 @@ class RadarEvaluation:
         """What was to be expected of a target, in words."""
         if not target.visible:
             return "no direct echo"
+        if not self.image.noise_w:
+            return "the map is empty"
         return f"{self.expected_snr_db(target):.1f} dB over the map's noise expected"
 
     def expected_snr_db(self, target: TrueTarget) -> float:
-        """Of a target's peak over the map's noise, by the radar equation."""
+        """Of a target's peak over the map's noise, by the radar equation; infinite where the map
+        has none, as of a converter whose step is above all that comes.
+        """
         heard_w = target.received_w * _kept(target, self.radar.ofdm, self.how.window)
-        return float(10 * np.log10(max(heard_w, 1e-300) / self.image.noise_w))
+        noise_w = self.image.noise_w
+        return float(10 * np.log10(max(heard_w, 1e-300) / noise_w)) if noise_w else float("inf")
 
     def __str__(self) -> str:
         """What was achieved, a line each: over a track, on the map, and what is missing."""

@@ -143,7 +143,8 @@ def _why(target: TrueTarget, evaluation: RadarEvaluation) -> str:
 
 
 def _snr_db(target: TrueTarget, evaluation: RadarEvaluation) -> float:
-    return float(10 * np.log10(max(target.received_w, 1e-300) / evaluation.image.noise_w))
+    noise_w = evaluation.image.noise_w
+    return float(10 * np.log10(max(target.received_w, 1e-300) / noise_w)) if noise_w else np.inf
 
 
 def _levers() -> tuple[Lever, ...]:
@@ -195,6 +196,8 @@ def _void(evaluation: RadarEvaluation) -> Finding:
     reasons = "; ".join(str(w) for w in evaluation.capture.warnings if w.void)
     radar = evaluation.radar
     counts = number(radar.front_end.noise_counts.value)
+    clips = any(w.void and w.kind == "saturated" for w in evaluation.capture.warnings)
+    gain = ("below", "a lower gain, until no slot clips") if clips else ("above", "a higher gain")
     return Finding(
         radar.name,
         radar.description,
@@ -206,7 +209,7 @@ def _void(evaluation: RadarEvaluation) -> Finding:
             ("What limits it", reasons),
             (
                 "What would help most",
-                f"a front_end.noise_counts below {counts}, a lower gain, until no slot clips",
+                f"a front_end.noise_counts {gain[0]} {counts}, {gain[1]}",
             ),
         ),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.formatting import json_text
+from hardware.radar import Detection
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
 from twin.camera.intervals import signal_power_interval, sun_power_interval
@@ -22,7 +23,7 @@ from twin.radar.intervals import body_level
 from twin.report.findings import Finding, camera_finding
 from twin.report.measured import emitter_share, noise_found, range_used
 from twin.report.radar_findings import radar_finding
-from twin.report.radar_summary import budget_figures
+from twin.report.radar_summary import budget_figures, noise_found_dbm
 
 SUMMARY = "summary.json"
 _FORMAT, _VERSION = "ugv-twin-summary", 1
@@ -233,6 +234,12 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
             yield Figure((*of, "image", seen.name), name, unit, figure)
 
 
+def _snr(detection: Detection, level_dbm: Interval, evaluation: RadarEvaluation) -> Interval:
+    """Of an echo over the map's noise; both scatter."""
+    noise = np.hypot(level_dbm.noise, noise_found_dbm(evaluation).noise)
+    return replace(level_dbm, value=detection.snr_db, noise=float(noise))
+
+
 def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
     rows = zip(
         evaluation.detections,
@@ -247,8 +254,7 @@ def _detected(evaluation: RadarEvaluation) -> Iterator[Figure]:
         yield Figure(of, "range", "m", model.range_m)
         yield Figure(of, "range rate", "m/s", model.range_rate_m_per_s)
         yield Figure(of, "level", "dBm", model.level_dbm)
-        level = model.level_dbm
-        yield Figure(of, "SNR", "dB", replace(level, value=detection.snr_db))
+        yield Figure(of, "SNR", "dB", _snr(detection, model.level_dbm, evaluation))
         if target:
             true = 10 * np.log10(max(target.received_w, 1e-300) * 1e3)
             for name, found, value, unit in (
