@@ -5,7 +5,7 @@ A two-dimensional transform of the channel (Sturm and Wiesbeck, Proc. IEEE 99, 2
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ class RangeDopplerMap:
     ascend from 0; ``delay_rate``, in s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive
     when the target recedes. ``noise_w``: mean noise power of a cell, by the map's median: too
     high, and SNRs too low, where echoes fill much of the map (1.6 dB with clutter at two fifths of
-    all delays in 4 slots, 0.2 dB in 64); ``noise_error_w``: its standard error, known to a
-    quarter. ``oversampling``: cells per resolution cell along each axis.
+    all delays in 4 slots, 0.2 dB in 64); ``noise_error_w``: its standard error, if the noise
+    is white. ``oversampling``: cells per resolution cell along each axis.
 
     ``effective_looks``: number of independent channels with the same variance of the noise. Where
     it is less than ``n_channels``, the channels were whitened, see `whiten`: ``power_w`` of an
@@ -106,7 +106,7 @@ def range_doppler(
         oversampling=oversampling,
         effective_looks=looks,
         relative_noise=_through_window(relative_noise, window, oversampling),
-        noise_error_w=noise_w * _level_error(power.size, (n, m), window, looks, oversampling),
+        noise_error_w=noise_w * _level_error((n, m), window, looks, oversampling),
     )
 
 
@@ -191,16 +191,40 @@ def _stride(n_cells: int) -> int:
     return 7 if n_cells > 2**18 else 1
 
 
-def _level_error(
-    n_cells: int, shape: tuple[int, int], window: str, looks: float, oversampling: int
-) -> float:
+@lru_cache(maxsize=64)
+def _level_error(shape: tuple[int, int], window: str, looks: float, oversampling: int) -> float:
     """Standard error of `noise_level` over the level: that of a median of gamma distributed cells,
-    some of which the window and ``oversampling`` correlate.
+    which the window and ``oversampling`` correlate.
     """
     from scipy.special import gammaincinv, gammaln
 
-    alike = np.prod([np.mean(normalised_window(window, n) ** 2) for n in shape])
-    independent = min(n_cells / _stride(n_cells), n_cells / (alike * oversampling**2))
+    n_cells = int(np.prod(shape)) * oversampling**2
+    along, across = (_correlations(window, size, oversampling) for size in shape)
+    alike = np.sum(_of_sides(np.outer(along, across), looks))
     median = gammaincinv(looks, 0.5)
     density = np.exp(looks * np.log(median) - median - gammaln(looks))  # times the median
-    return float(0.5 / (density * np.sqrt(independent)))
+    # Of every seventh cell alone, a seventh of the others that are like it is looked at.
+    return float(0.5 / density * np.sqrt((alike + _stride(n_cells) - 1) / n_cells))
+
+
+def _correlations(window: str, size: int, oversampling: int) -> Array:
+    """Of the noise of a channel's cells with that of one of them, along an axis, squared."""
+    weights = normalised_window(window, size) ** 2
+    squared = np.abs(np.fft.fft(weights, size * oversampling) / weights.sum()) ** 2
+    return np.asarray(squared[squared > 1e-4])
+
+
+def _of_sides(correlation: Array, looks: float) -> Array:
+    """Correlation of the sides of the median on which two gamma distributed cells lie, from the
+    squared correlation of a channel's noise: Kibble's bivariate distribution, a series of products
+    of Laguerre polynomials (Biometrika 1941).
+    """
+    from scipy.special import eval_genlaguerre, gammaincinv, gammaln
+
+    median = gammaincinv(looks, 0.5)
+    order = np.arange(1, 40)
+    side = np.exp(looks * np.log(median) - median - gammaln(looks)) / order
+    side *= eval_genlaguerre(order - 1, looks, median)
+    share = 4 * side**2 * np.exp(gammaln(looks) + gammaln(order + 1) - gammaln(order + looks))
+    summed = np.sum(share * correlation[..., None] ** order, axis=-1)
+    return np.where(correlation > 0.999, 1.0, summed)
