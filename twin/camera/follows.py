@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.reconstruction import METHODS, Reconstruction
-from hardware.reconstruction.measurements import measurements, with_level
+from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.reconstruction.sensing import Sensing
-from hardware.records import SpiRecord
 from twin.camera.acquisition import Capture
 
 Array = NDArray[np.float64]
@@ -50,11 +49,10 @@ class Follows:
         )
         return np.asarray(followed - error_e)
 
-    def picture(self, record: SpiRecord) -> Array:
+    def picture(self, measured: Measurements) -> Array:
         """The image, detectors side by side, by the same method of another record alike, as
         `Reconstruction.picture` has it.
         """
-        measured = measurements(with_level(record.received))
         return self._solved(measured.values, measured.noise_variance)
 
     def _solved(self, values: Array, noise_variance: Array) -> Array:

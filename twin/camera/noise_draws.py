@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain, Powers
 from twin.fidelity import Noise
@@ -52,6 +53,11 @@ class NoiseDraws:
     def records(self) -> tuple[SpiRecord, ...]:
         """`N_DRAWS` records that differ from the frame's in noise alone; none without any."""
         return tuple(self._drawn()) if self.has_noise else ()
+
+    @cached_property
+    def measured(self) -> tuple[Measurements, ...]:
+        """What reconstructions take of those records: of a scan, the echoes of each."""
+        return tuple(measurements(with_level(record.received)) for record in self.records)
 
     def _drawn(self) -> Iterator[SpiRecord]:
         rng = np.random.default_rng(_SEED)

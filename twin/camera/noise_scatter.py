@@ -57,8 +57,8 @@ def scatter_of_scores(capture: Capture, image: Reconstruction) -> ScatterOfScore
     truth, backscatter_e = capture.measured_scene_e, capture.backscatter_e
     own, follows = image.picture - backscatter_e, Follows(capture, image)
     if follows.is_known:
-        records = capture.noise_draws.records
-        seen = np.stack([own, *(follows.picture(record) - backscatter_e for record in records)])
+        measured = capture.noise_draws.measured
+        seen = np.stack([own, *(follows.picture(each) - backscatter_e for each in measured)])
     else:
         seen = np.stack([own, *(truth + field for field in _fields_like(own - truth))])
     levels_db = [psnr_db(truth, each) for each in seen]
