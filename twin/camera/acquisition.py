@@ -1,6 +1,6 @@
 """One acquisition of the single-pixel camera, from scene and system to a record of counts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -302,7 +302,9 @@ def measure(
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
         decisions=(*rendered.decisions, *((frame.decision,) if frame else ())),
         range_error=range_error,
-        model_error=model_error(chain, power, signal_w),
+        model_error=replace(
+            model_error(chain, power, signal_w), scatter=frame.sun_scatter if frame else 0.0
+        ),
         noise_draws=NoiseDraws(chain, power, record, noise=noise, mean_w=mean_w, sun_w=open_w),
         distance_m=rendered.half_paths_m(),
     )

@@ -9,6 +9,7 @@ the same light do (`twin.camera.noise_draws`). SNRs and electrons are predicted,
 record: noise moves none of them, but for the light of an emitter that fluctuates.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -185,6 +186,8 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
         _in_db(bound_e[brightest] / peak),
         _in_db(shift / mean_square) / 2,
         _in_db(noise.systematic / noise.value),
+        # In the image as more noise, which exact light would not have.
+        10 * math.log10(1 + capture.model_error.scatter**2),
     )
     scatter_db = scatter_of_scores(capture, image).psnr_db
     return Interval(value, float(np.linalg.norm(statistical)), float(sum(systematic)), scatter_db)
@@ -216,6 +219,8 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
     systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
     systematic += abs(at_bound - value)
+    more_noise = math.hypot(1, capture.model_error.scatter) - 1
+    systematic += abs(by_noise) * noise.value * more_noise
     scatter = scatter_of_scores(capture, image).ssim
     return Interval(value, float(statistical), float(systematic), scatter)
 

@@ -25,7 +25,8 @@ class ModelError:
     ``noise``, ``noise_systematic`` (rows, columns): of the noise of each cell, relative; the same
     for all cells of a detector, since it is that of all light together. ``signal``,
     ``signal_systematic``, ``background`` and ``background_systematic``: of the mean signal and of
-    the sun's light, relative.
+    the sun's light, relative. ``scatter``: root mean square of what light is off by from exposure
+    to exposure, over their noise.
     """
 
     noise: Array
@@ -34,6 +35,7 @@ class ModelError:
     signal_systematic: float
     background: float
     background_systematic: float
+    scatter: float = 0.0
 
 
 #: Of a capture that is told nothing else.

@@ -41,6 +41,9 @@ Flags = NDArray[np.bool_]
 _AT_ONCE = 32
 #: Shortest interval between instants, over an exposure's integration.
 _FINEST = 1 / 8
+#: What the sun's light is off by from instant to instant, over what its paths err by: those of
+#: neighbouring instants are alike (in the yard; few instants tell it badly).
+_OF_PATHS = 0.25
 #: Instants at most at which all light is rendered.
 _MOST_RENDERS = 32
 #: Of indirect light, which has no edges and whose paths cost more: first instants that one is
@@ -65,7 +68,8 @@ class FrameLight:
     n_detectors): of the patterns, and of the sun while a shutter is open; None where motion changes
     counts by less than the tolerance, so that the light of the middle is that of all exposures.
     ``decision``: at how many instants light was rendered, and what interpolation may be off by.
-    ``pose``: the rig's at the start.
+    ``pose``: the rig's at the start. ``sun_scatter``: what the sun's light is off by from instant
+    to instant, between exposures that are compared, over their noise.
     """
 
     signal_w: Array | None
@@ -73,6 +77,7 @@ class FrameLight:
     pose: Pose
     decision: Decision
     warnings: tuple[CaptureWarning, ...] = ()
+    sun_scatter: float = 0.0
 
 
 def world_in_motion(scene: Scene, system: System, fidelity: Fidelity) -> WorldInMotion | None:
@@ -131,13 +136,18 @@ def frame_light(
         error = light.path_error * tolerance / math.sqrt(2)
         effect += f"; besides, {fidelity.samples} paths of a cell err by up to {error:.2g}"
     decision = decided(effect, light.motion_error * tolerance, taken=True)
-    sun_scatter = light.sun_scatter_w / change.noise_w
+    # Of exposures that are compared.
+    compared = 1.0
     if system.acquisition.mode.value == "differential":
-        # Of the difference of an exposure and the next, between two instants of the sun's light.
+        # An exposure and the next, between two instants of the sun's light.
         interval_s = world.duration_s / max(len(light.sun_times_s) - 1, 1)
-        sun_scatter *= min(system.acquisition.pattern_period_s.value / interval_s, 1.0)
-    warnings = _warnings(light, sun_scatter, tolerance, fidelity)
-    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, warnings)
+        compared = min(system.acquisition.pattern_period_s.value / interval_s, 1.0)
+    seen, by_paths = compared * light.sun_scatter_w, 0.0
+    if np.ptp(light.sun_w) > 0:
+        by_paths = compared * _OF_PATHS * float(chain.powers(rendered).sun_error_w.max())
+    warnings = _warnings(light, seen / change.noise_w, tolerance, fidelity)
+    scatter = math.hypot(seen, by_paths) / change.noise_w
+    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, warnings, scatter)
 
 
 def _warnings(
