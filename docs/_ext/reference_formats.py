@@ -198,6 +198,7 @@ def _log() -> str:
             "`ugv process --tracks`: a point for each confirmed track, in the world's frame",
         ),
         ("`/tf`, `/tf_static`", ros.TRANSFORMS.name, "where the rig and the sensors are"),
+        ("`/spi/camera_info`", ros.CAMERA_INFO.name, "the camera's cells and field, at the start"),
         ("`/truth/objects`", STATES.name, "`twin drive`: all objects, targets and the rig"),
         ("`/truth/camera/albedo`", ros.IMAGE.name, "`twin drive`: reflectance of each cell"),
         ("`/truth/camera/depth`", ros.IMAGE.name, "`twin drive`: m along the boresight"),
