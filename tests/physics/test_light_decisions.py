@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.still import still_yard
 from twin.accuracy import Decision
 from twin.camera import Capture, capture
+from twin.camera.chain import Chain
+from twin.camera.light import render
 from twin.camera.mounting import light_problem
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
@@ -248,6 +250,17 @@ def test_the_shift_of_a_filter_is_told_as_large_as_it_is(field_deg: float) -> No
         fidelity=Fidelity(light_tolerance=0.2),
     )
     assert not any("filter" in d.effect for d in without.decisions)
+
+
+def test_of_cells_that_the_filter_blocks_nothing_is_left_out() -> None:
+    """However much that may be: infinite times none was no number."""
+    fields = {f"{side}.field_of_view_deg": 120.0 for side in ("emitter", "optics")}
+    system = load_system("workable").with_({**SMALL, **fields})
+    seed, direct = np.random.SeedSequence(1), Fidelity(samples=1, max_depth=1)
+    rendered = render(still_yard(), system, seed=seed, fidelity=direct)
+    light = replace(rendered.light, left_out=math.inf)
+    power = Chain.of(system, still_yard().sun).powers(replace(rendered, light=light))
+    assert set(np.unique(power.left_out_w)) == {0.0, math.inf}
 
 
 @pytest.mark.parametrize("weather", ["clear-air", "haze"])

@@ -127,12 +127,14 @@ class Chain:
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
         lit = watt * self._share_of_pulses(cells, rendered.paths)
+        # Of cells whose light does not pass nothing is left out, be the bound infinite.
+        bound = np.where(lit > 0, rendered.light.left_out, 0.0)
         return Powers(
             cells_w=watt * cells,
             error_w=lit * rendered.light.error,
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
-            left_out_w=lit * np.full_like(rendered.light.error, rendered.light.left_out),
+            left_out_w=lit * np.broadcast_to(bound, rendered.light.error.shape),
             sun_error_w=self._sun_error(rendered),
             sun_left_out_w=self._sun_left_out(rendered),
             sun_of_cells_w=self._sun_of_cells(rendered),
