@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.cosine import dct_matrix
+from hardware.reconstruction.motion.likelihood import cost_of, with_noise
 from hardware.reconstruction.motion.model import Shift
 from hardware.reconstruction.motion.operators import shifted_rows
 from hardware.reconstruction.motion.timing import TimedRows
@@ -206,21 +207,8 @@ class _Likelihood:
 
     def cost(self, place: tuple[float, float] | Array) -> float:
         """Minus the log-likelihood at a displacement, for the scale that fits best."""
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve  # takes 0.1 s to import
-
-        m = self.values.shape[0]
         gram = self._covariance(place)
-        total = 0.0
-        for y, noise in zip(self.values.T, self.noise, strict=True):
-            system = _with_noise(gram, y, float(noise))
-            try:
-                factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
-            except LinAlgError:
-                return np.inf
-            misfit = float(y @ cho_solve(factor, y, check_finite=False))
-            total += m / 2 * np.log(max(misfit, 1e-300) / m)
-            total += float(np.log(factor[0].diagonal()).sum())
-        return float(total)
+        return cost_of(gram, self.values, self._noise_over_scale(gram))
 
     def left_out(self, place: tuple[float, float] | Array) -> tuple[Array, Array]:
         """Errors of each measurement as all others predict it at a displacement, and their
@@ -229,11 +217,18 @@ class _Likelihood:
         """
         gram = self._covariance(place)
         errors, variances = np.empty_like(self.values), np.empty_like(self.values)
-        for image, (y, noise) in enumerate(zip(self.values.T, self.noise, strict=True)):
-            inverse = np.linalg.pinv(_with_noise(gram, y, float(noise)), hermitian=True)
+        for image, noise in enumerate(self._noise_over_scale(gram)):
+            inverse = np.linalg.pinv(with_noise(gram, float(noise)), hermitian=True)
             variances[:, image] = 1 / inverse.diagonal()
-            errors[:, image] = inverse @ y * variances[:, image]
+            errors[:, image] = inverse @ self.values[:, image] * variances[:, image]
         return errors, variances
+
+    def _noise_over_scale(self, gram: Array) -> Array:
+        """Of each image, with the scale that the energy of its measurements tells."""
+        noise = len(self.values) * self.noise
+        energy = (self.values**2).sum(axis=0)
+        scale = np.maximum(energy - noise, 0.1 * noise) / np.trace(gram)
+        return np.asarray(self.noise / scale)
 
     def _covariance(self, place: tuple[float, float] | Array) -> Array:
         """A C A^T of unit scale at a displacement, ``(m, m)``."""
@@ -257,15 +252,6 @@ class _Likelihood:
         if self.centred:
             rows = rows - rows.mean(axis=0)
         return np.asarray(rows @ rows.T)
-
-
-def _with_noise(gram: Array, y: Array, noise: float) -> Array:
-    """Covariance of measurements y (m,) by that of unit scale, in units of their scale."""
-    m = len(y)
-    scale = max(float(y @ y) - m * noise, 0.1 * m * noise) / np.trace(gram)
-    system = gram.copy()
-    np.fill_diagonal(system, gram.diagonal() + noise / scale)
-    return system
 
 
 def _gain_of_prediction(stage: _Likelihood, best: tuple[float, float]) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction.motion.knobs import Compensation
+from hardware.reconstruction.motion.likelihood import cost_of
 from hardware.reconstruction.motion.model import Motion, Shift
 from hardware.reconstruction.motion.operators import WarpedPatterns
 from hardware.reconstruction.motion.solvers import covariance_of, in_cosines
@@ -66,27 +67,17 @@ class Evidence:
         """Minus the log-likelihood of a motion, for the scale that fits best; infinite for one that
         the frame does not allow.
         """
-        from scipy.linalg import LinAlgError, cho_factor, cho_solve  # takes 0.1 s to import
-
         try:
             gram = self._covariance(motion)
         except InputError:
-            return np.inf
-        total, m = 0.0, self.timed.count
-        detail = self.timed.rows[0] != 0
-        for y, noise in zip(self.timed.values.T, self.noise, strict=True):
-            energy = float(y[detail] @ y[detail])
-            least = _LEAST_NOISE**2 * energy / self._cells
-            ratio = max(float(noise), least) * self._prior / max(energy, 1e-300)
-            system = gram + ratio * np.eye(m)
-            try:
-                factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
-            except LinAlgError:
-                return np.inf
-            misfit = float(y @ cho_solve(factor, y, check_finite=False))
-            total += m / 2 * np.log(max(misfit, 1e-300) / m)
-            total += float(np.log(factor[0].diagonal()).sum())
-        return total
+            return float("inf")
+        return cost_of(gram, self.timed.values, self._noise_over_scale())
+
+    def _noise_over_scale(self) -> Array:
+        """Of each image, by the energy of its measurements but that of the level."""
+        energy = (self.timed.values[self.timed.rows[0] != 0] ** 2).sum(axis=0)
+        least = _LEAST_NOISE**2 * energy / self._cells
+        return np.asarray(np.maximum(self.noise, least) * self._prior / np.maximum(energy, 1e-300))
 
     def _covariance(self, motion: Motion) -> Array:
         operator = WarpedPatterns(self.timed, motion, self.shape, _KNOBS)
