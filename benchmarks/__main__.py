@@ -45,6 +45,9 @@ _ROOMS = (
 
 
 def main(rooms: list[str]) -> None:
+    if {"-h", "--help"} & set(rooms):
+        print(f"{__doc__.strip()}\n\nRooms: {', '.join(_ROOMS)}.")
+        return
     if unknown := [name for name in rooms if name not in _ROOMS]:
         sys.exit(f"benchmarks: {', '.join(unknown)}: expected some of {', '.join(_ROOMS)}")
     unit = fft_workload()

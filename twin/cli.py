@@ -7,12 +7,8 @@ import sys
 
 import typer
 
-from hardware.commands.output import (
-    CLOSED_PIPE,
-    reader_left,
-    version_option,
-    with_output,
-)
+from hardware.commands.entry import leave, outcome
+from hardware.commands.output import version_option, with_output
 from twin import __version__
 from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
@@ -57,47 +53,23 @@ def main() -> None:
         faulthandler.enable(sys.__stderr__)  # says where in the twin a library crashed
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
+    ended: int | str | None = None
     try:
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
-        sys.stdout.flush()
-    except TwinError as error:
-        message = str(error)
-    except SystemExit as error:  # commands return; a user's own code, and completion, do not
-        if "_TWIN_COMPLETE" in os.environ:
-            raise
-        if reader_left(error):
-            sys.exit(CLOSED_PIPE)
-        message = f"code of one's own called sys.exit({error})"
+        ended = outcome(app, "twin", TwinError)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] in ("twin", "hardware"):
             raise
-        message = f"{error}; the simulator's libraries: pip install 'ugv-twin[twin]'"
-    except OSError as error:
-        from hardware.files import said
-
-        if reader_left(error):
-            sys.exit(CLOSED_PIPE)
-        message = said(error)
-    except MemoryError as error:
-        message = f"out of memory ({error})" if str(error) else "out of memory"
-    except Exception as error:
-        if not interrupts:
-            if not hasattr(error, "format_message"):  # how usage errors are told from faults
-                raise
-            message = error.format_message()
+        ended = f"{error}; the simulator's libraries: pip install 'ugv-twin[twin]'"
     except KeyboardInterrupt:
         pass
-    else:
+    except Exception:
         if not interrupts:
-            sys.exit(code)
+            raise
     if interrupts:
         print("twin: interrupted, nothing half-written is left", file=sys.stderr)
         sys.stderr.flush()
         os._exit(130)  # threads of a library that was still loading would abort an orderly exit
-    from hardware.files import one_line
-
-    print(f"twin: error: {one_line(message)}", file=sys.stderr)
-    sys.exit(2)
+    leave("twin", ended)
 
 
 def _interrupt(number: int, _: object) -> None:
