@@ -89,9 +89,11 @@ def faint_waves(
             cell, edge = _met(rim, center[first : first + step])
             pair, row = matching_pairs(cell + first, facets.cell)
             longer, towards = _over(rim, edge[pair], direct[row], straight[row])
+            is_shadow = np.sum(rim.lit[edge[pair]] * direct[row], axis=1) <= 0
             is_far = (k * longer > deepest) & (weight[row] > 0)
             row, longer, towards = row[is_far], longer[is_far], towards[is_far]
-            wave = weight[row] * knife_edge_factor(k * longer)
+            # Reversed in the light: past both sides of a post, half a cycle apart, they add up.
+            wave = np.where(is_shadow[is_far], 1, -1) * weight[row] * knife_edge_factor(k * longer)
             wave *= facets.take(row).mean(k * (back[row] + towards))
             length = 2 * straight[row] + longer
             wave *= np.exp(-1j * (k * length % (2 * np.pi)))
