@@ -18,6 +18,7 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import Fidelity, Tolerance
 from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.roughness import _clutter, _most_clutter
 from twin.radar.propagation.scene.culling import noise_amplitude
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, Scene
@@ -189,3 +190,20 @@ def test_a_small_body_on_wide_ground_has_speckle() -> None:
     found = trace(scene, RADAR, fidelity=ONCE)
     strays = found.contributions.take(found.contributions.wavelength_power == 1)
     assert np.count_nonzero(strays.object == found.objects.index("tile")) > 32
+
+
+def test_what_is_bounded_without_points_is_no_brighter_with_them() -> None:
+    """Plates at random, in the beam and beside it: the bound that spares far ones of thousands from
+    being sampled is never less than the sampled one, and within 10 times of it in the beam.
+    """
+    rng, scene = np.random.default_rng(3), over_floor(1e-3, 0.1)
+    ratio = []
+    for number in range(40):
+        corners = rng.normal(0, 0.5, (4, 3)) * [1, 1, 1] + [rng.uniform(3, 30), 0, 0]
+        corners[:, 1] += rng.uniform(-0.6, 0.6) * corners[0, 0]
+        item = quad(f"plate {number}", corners, "asphalt")
+        alone = replace(scene, objects=(item,))
+        (bound,) = _most_clutter(alone, RADAR) * np.sqrt(0.1)
+        ratio.append(bound / max(_clutter(alone, RADAR, item, 0.1), 1e-12))
+    assert min(ratio) >= 1
+    assert np.median(ratio) < 10

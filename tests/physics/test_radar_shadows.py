@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import erf, erfc, fresnel, jv
 
 from benchmarks.kirchhoff import echo_behind
+from benchmarks.screens_in_depth import field_behind
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
     OPTICS,
@@ -28,7 +29,6 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
-from tests.physics.screens_in_depth import field_behind
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
 from twin.radar.propagation.diffraction.around_edges import first_hit
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor

@@ -10,13 +10,20 @@ from scipy.constants import speed_of_light
 from hardware.formatting import si
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
+from twin.geometry.faces import areas
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.physical_optics import loss_of
-from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.culling import (
+    OF_NOISE,
+    beam_of,
+    most_gain,
+    noise_amplitude,
+)
 from twin.radar.propagation.scene.scattering_models import Assignment, ScatteringModel
 from twin.radar.propagation.surface_clutter import coherent, sampled
 from twin.scene import Scene, SceneObject
+from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
 
@@ -50,7 +57,7 @@ def rough_surfaces(
         return frozenset(candidates), ()
     permitted = OF_TOLERANCE * fidelity.radar_tolerance
     names, decisions = set[str](), list[Decision]()
-    for item in scene.objects:
+    for item, bound in zip(scene.objects, _most_clutter(scene, radar).tolist(), strict=True):
         relief, began_s = scene.materials[item.material].surface, perf_counter()
         if item.name not in candidates:
             continue
@@ -58,7 +65,10 @@ def rough_surfaces(
             names.add(item.name)
             continue
         gamma = _gamma(scene, item)
-        clutter = _clutter(scene, radar, item, gamma) if gamma else 0.0
+        # Of ten thousand objects most are too far off, or beside the beam, to be sampled.
+        clutter = bound * float(np.sqrt(gamma or 0.0))
+        if clutter > OF_NOISE:
+            clutter = _clutter(scene, radar, item, gamma or 0.0)
         loss = _loss(scene, radar, item)
         is_taken = clutter > OF_NOISE or loss > permitted
         if is_taken:
@@ -149,6 +159,20 @@ def _loss(scene: Scene, radar: RadarDesign, item: SceneObject) -> float:
     relief = scene.materials[item.material].surface
     height = relief.rms_height_m.value if relief else 0.0
     return 1 - float(coherent(height, np.ones(1), radar.ofdm.wavelength_m)[0])
+
+
+def _most_clutter(scene: Scene, radar: RadarDesign) -> Array:
+    """Bounds of `_clutter` of all objects at a gamma of 1, (n_objects,), that take no points: all
+    of a surface in one cell, at right angles, as near and in as high a gain as any of its box.
+    """
+    device, axes = scene.rig.device("radar")
+    place, boxes = scene.rig.position_m + device, boxes_of(scene.objects)
+    distance = np.maximum(distances_m(boxes, place), radar.ofdm.wavelength_m)
+    gain = most_gain(beam_of(radar.antenna), place[None], axes[:1], boxes)[0]
+    area = np.array([areas(item.vertices_m, item.geometry.faces).sum() for item in scene.objects])
+    scale = loss_of(radar) * radar.ofdm.wavelength_m / (4 * np.pi) ** 1.5
+    most = scale * gain / distance**2 * np.sqrt(area)
+    return np.asarray(_BY_IMAGES * most / noise_amplitude(radar))
 
 
 def _clutter(scene: Scene, radar: RadarDesign, item: SceneObject, gamma: float) -> float:
