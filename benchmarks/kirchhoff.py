@@ -42,17 +42,22 @@ def echo_behind(
     wavenumber: float,
     gain: Callable[[Array], Array] | None = None,
     triangle_m: float = _TRIANGLE_M,
+    field_at: Callable[[Array], Complex] | None = None,
 ) -> Echo:
     """Of a closed convex body behind screens, each of four corners (4, 3) in a plane; ``gain`` of
-    directions (n, 3), in amplitude there and back.
+    directions (n, 3), in amplitude there and back; ``field_at`` places (n, 3) over the straight
+    wave, in place of the product of the screens' own.
     """
     corners = _front(body)
     parts = _divided(corners, triangle_m)
     wave = _waves(parts, wavenumber, gain)
-    middle, is_lit, field = parts.mean(axis=1), np.ones(len(parts), dtype=bool), 1.0 + 0j
+    middle, is_lit = parts.mean(axis=1), np.ones(len(parts), dtype=bool)
+    if field_at is None:
+        field = np.prod([field_behind(s, middle, wavenumber) for s in screens], axis=0)
+    else:
+        field = field_at(middle)
     mixed = np.zeros(len(parts), dtype=bool)
     for screen in screens:
-        field = field * field_behind(screen, middle, wavenumber)
         is_hidden = hides(screen, parts.reshape(-1, 3)).reshape(-1, 3)
         mixed |= is_hidden.any(axis=1) & ~is_hidden.all(axis=1)
         is_lit &= ~hides(screen, middle)

@@ -1,13 +1,15 @@
 """Echoes round obstacles: what the solver states as their error, and what it is.
 
 In random scenes, boxes and balls behind rectangular screens, the truth is Kirchhoff's field by
-brute force (`benchmarks.kirchhoff`), at three frequencies. On the yard and the street it are cells
-of half the size, of which none is left out, and shadows followed to 45 dB: the solver itself,
-finer, which says less. Bodies that stand alone are left out.
+brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens, one behind the
+other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`). On the yard and the street
+it are cells of half the size, of which none is left out, and shadows followed to 45 dB: the solver
+itself, finer, which says less. Bodies that stand alone are left out.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -16,11 +18,12 @@ from scipy.constants import speed_of_light
 
 from benchmarks.kirchhoff import echo_behind
 from benchmarks.radar_estimates import scene_of_objects, thing
+from benchmarks.screens_in_depth import Rectangle, field_around
 from benchmarks.timing import Figure
 from twin.fidelity import DEFAULT
 from twin.radar import RadarDesign, load_radar
-from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted, echoes_behind
+from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of, label_of, summed_by
 from twin.radar.propagation.meshes.grouping import bodies_of
@@ -30,12 +33,14 @@ from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions
-from twin.scene import Scene, load_scene
+from twin.scene import Scene, SceneObject, load_scene
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _RANDOM = 24  # scenes
+_KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screens
+_OF_A_KIND = 20
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
 _NOTHING = 1e-9  # of a body's level
 _PERMITTED = 0.01  # of a body's level: a tenth of the tolerance
@@ -61,6 +66,9 @@ def figures() -> Iterator[Figure]:
     random = [random_scene(np.random.default_rng(seed)) for seed in range(_RANDOM)]
     named = {f"random {seed}": scene for seed, scene in enumerate(random)}
     yield from _told("by brute force", named, against_brute_force, radar)
+    two = {f"{kind} {seed}": kind for kind in _KINDS for seed in range(_OF_A_KIND)}
+    named = {name: behind_two_screens(kind, int(name.split()[1])) for name, kind in two.items()}
+    yield from _told("by the double integral", named, against_brute_force, radar)
     named = {name: load_scene(name) for name in ("street", "yard")}
     yield from _told("by finer cells", named, against_finer_cells, radar)
 
@@ -161,28 +169,43 @@ def against_finer_cells(name: str, scene: Scene, radar: RadarDesign) -> Iterator
 
 
 def against_brute_force(name: str, scene: Scene, radar: RadarDesign) -> Iterator[Compared]:
-    """The body of a random scene, unless its echo comes round the screen alone."""
+    """The body of a random scene, unless its echo comes round the screens alone."""
     solved = _Solved.of(scene, radar)
-    told, stated = solved.by_default()
-    frequencies_hz = radar.ofdm.carrier_hz + _OFFSETS_HZ
-    echo = solved.over_band(told, frequencies_hz)
-    wavenumbers = 2 * np.pi * frequencies_hz / speed_of_light
-    factor = _over_integral(radar)
-    body, screen = scene.objects
+    body, *obstacles = scene.objects
     k = next(number for number, names in enumerate(solved.names) if names == (body.name,))
     if solved.own[k] == 0:
         return
-    waves = [echo_behind(body, [screen.vertices_m], n, solved.gain) for n in wavenumbers.tolist()]
-    truth = factor * np.array([wave.whole - wave.lit for wave in waves])
+    told, stated = solved.by_default()
+    frequencies_hz = radar.ofdm.carrier_hz + (_OFFSETS_HZ if len(obstacles) == 1 else np.zeros(1))
+    echo = solved.over_band(told, frequencies_hz)
+    truth = []
+    for wavenumber in (2 * np.pi * frequencies_hz / speed_of_light).tolist():
+        screens = [item.vertices_m for item in obstacles]
+        field_at = _behind_both(body, screens, wavenumber) if len(screens) == 2 else None
+        wave = echo_behind(body, screens, wavenumber, solved.gain, field_at=field_at)
+        truth.append(_over_integral(radar) * (wave.whole - wave.lit))
     yield Compared(
         name,
         body.name,
-        float(_rms(truth) / solved.level[k]),
+        float(_rms(np.array(truth)) / solved.level[k]),
         float(stated[k] / solved.level[k]),
         float(_rms(echo[k] - truth) / solved.level[k]),
     )
 
 
+def _behind_both(
+    body: SceneObject, screens: list[Array], wavenumber: float
+) -> Callable[[Array], Complex]:
+    """The field at places on a body, by Kirchhoff's integral over the planes of both."""
+    rectangles: list[Rectangle] = [
+        (float(s[0, 0]), (s[0, 1], s[2, 1]), (s[0, 2], s[2, 2])) for s in screens
+    ]
+    low, high = body.vertices_m.min(axis=0), body.vertices_m.max(axis=0)
+    half_m = 0.6 * float(np.linalg.norm(high - low))
+    return field_around(rectangles, (low + high) / 2, half_m, wavenumber)
+
+
+@cache
 def _over_integral(radar: RadarDesign) -> complex:
     """The solver's echo of a cube over its integral: what the radar's amplitudes are relative
     to.
@@ -213,13 +236,54 @@ def _rms(echo: Complex) -> float:
 def random_scene(rng: np.random.Generator) -> Scene:
     """A box or a ball behind or beside a screen."""
     center = rng.uniform(5.0, 15.0) * np.array([1.0, rng.uniform(-0.3, 0.3), 0.0])
-    size = rng.uniform(0.03, 0.09)
-    mesh = trimesh.creation.icosphere(4, radius=size / 2)
-    if rng.random() < 0.5:
-        mesh = trimesh.creation.box(size * rng.uniform(0.5, 1.5, 3))
-        mesh.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    mesh, size = _random_body(rng)
     wide, high = rng.uniform(0.2, 0.8, 2)
     corners = np.array([[0, 0, -high], [0, wide, -high], [0, wide, high], [0, 0, high]])
     before = center * rng.uniform(0.4, 0.8) + [0, rng.uniform(-0.5, 0.5) * size, 0]
     body = thing("body", mesh.vertices + center, mesh.faces)
     return scene_of_objects([body, thing("screen", corners + before, [[0, 1, 2], [0, 2, 3]])])
+
+
+def _random_body(rng: np.random.Generator) -> tuple[trimesh.Trimesh, float]:
+    """A ball or a box, and about how large it is."""
+    size = rng.uniform(0.03, 0.09)
+    mesh = trimesh.creation.icosphere(4, radius=size / 2)
+    if rng.random() < 0.5:
+        mesh = trimesh.creation.box(size * rng.uniform(0.5, 1.5, 3))
+        mesh.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    return mesh, size
+
+
+def behind_two_screens(kind: str, seed: int) -> Scene:
+    """A box or a ball behind or beside two upright screens, 0.3 to 5 m apart: with a ``slit``
+    between them as the radar sees them, one that is a ``jut`` beyond the other's edge, ``layers``,
+    one ``cross`` to the other or with a ``corner`` near the other's edge, or ``random`` ones.
+    """
+    rng = np.random.default_rng([seed, 7, len(kind), ord(kind[0])])
+    gap = np.exp(rng.uniform(np.log(0.3), np.log(5.0)))
+    near = rng.uniform(3.0, 8.0)
+    end, farther = near + gap + rng.uniform(2.0, 6.0), (near + gap) / near
+    edge, wide, beyond = rng.uniform(-0.04, 0.04), rng.uniform(0.1, 0.3, 2), rng.uniform(2e-3, 0.05)
+    high = [(-rng.uniform(0.1, 0.4), rng.uniform(0.1, 0.4)) for _ in range(2)]
+    y, z = [(edge - wide[0], edge), (edge - wide[1], edge + beyond)], high
+    if kind == "slit":
+        y[1] = (edge + beyond, edge + beyond + wide[1])
+    elif kind == "layers":
+        y[1] = (edge - wide[0] + beyond / 5, edge - beyond / 5)
+    elif kind == "cross":
+        y[1], z[1] = (-0.4, 0.4), ((edge - 0.05) / farther, (edge + 0.05) / farther)
+    elif kind == "corner":
+        z[1] = (rng.uniform(-0.05, 0.05) / farther, rng.uniform(0.1, 0.4) / farther)
+    elif kind == "random":
+        middle, half = rng.uniform(-0.1, 0.1, 4), rng.uniform(0.02, 0.2, 4)
+        y, z = (
+            [(m - h, m + h) for m, h in zip(middle[i::2], half[i::2], strict=True)] for i in (0, 1)
+        )
+    mesh, _ = _random_body(rng)
+    center = [end, edge * end / near + rng.uniform(-0.1, 0.1), rng.uniform(-0.08, 0.08)]
+    objects = [thing("body", mesh.vertices + center, mesh.faces)]
+    for number, scale in enumerate((1.0, farther)):
+        sides = [(i, j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        corners = [[near * scale, y[number][i] * scale, z[number][j] * scale] for i, j in sides]
+        objects.append(thing(f"screen {number}", np.array(corners), [[0, 1, 2], [0, 2, 3]]))
+    return scene_of_objects(objects)

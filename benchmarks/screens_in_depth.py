@@ -7,13 +7,16 @@ form over the farther interval, by Gauss and Legendre over the nearer one, with 
 together where an edge of the other passes.
 """
 
+from collections.abc import Callable
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 from scipy.special import erf
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Interval = tuple[float, float]
 #: Distance along x, and extents in y and z.
 Rectangle = tuple[float, Interval, Interval]
@@ -21,6 +24,7 @@ Rectangle = tuple[float, Interval, Interval]
 _WIDEST_M = 2.5e-4  # between panels of 8 points
 _AROUND = np.linspace(-20, 20, 161)  # an edge, of the root of the gap over the wavenumber
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_PLACES = 17  # along a side, between which a field is interpolated
 
 
 def field_behind(rectangles: list[Rectangle], target: Array, k: float) -> complex:
@@ -30,6 +34,23 @@ def field_behind(rectangles: list[Rectangle], target: Array, k: float) -> comple
         for some in combinations(rectangles, count):
             total += (-1) ** count * _through(list(some), target, k)
     return total
+
+
+def field_around(
+    rectangles: list[Rectangle], center: Array, half_m: float, k: float
+) -> Callable[[Array], Complex]:
+    """The same at places (n, 3) to within a distance of a center, interpolated: over the straight
+    wave it changes little along that.
+    """
+    at = np.linspace(-half_m, half_m, _PLACES)
+    every = [[field_behind(rectangles, center + [0, y, z], k) for z in at] for y in at]
+    real, imag = (RectBivariateSpline(at, at, part) for part in (np.real(every), np.imag(every)))
+
+    def field_at(places: Array) -> Complex:
+        _, y, z = (places * (center[0] / places[:, :1]) - center).T
+        return np.asarray(real.ev(y, z) + 1j * imag.ev(y, z))
+
+    return field_at
 
 
 def _through(rectangles: list[Rectangle], target: Array, k: float) -> complex:

@@ -19,7 +19,8 @@ from benchmarks.timing import Figure, timed
 from twin.engine import mitsuba, sionna
 from twin.geometry import Geometry, mitsuba_mesh
 from twin.radar import load_radar
-from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, screens
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
+from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.materials import radio_properties

@@ -30,7 +30,7 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
-from twin.radar.propagation.diffraction.around_edges import first_hit
+from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, plate, quad, world
-from twin.radar.propagation.diffraction.around_edges import screens
+from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.diffraction.shadowed_facets import front_facets
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
 from twin.radar.propagation.prepared_scene import prepare_scene

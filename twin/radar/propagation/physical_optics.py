@@ -9,7 +9,6 @@ from scipy.constants import speed_of_light
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import (
     Accepted,
     RoundObstacles,
@@ -17,6 +16,7 @@ from twin.radar.propagation.diffraction.behind_obstacles import (
 )
 from twin.radar.propagation.diffraction.edge_bounds import EdgeBound, edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
+from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
 from twin.radar.propagation.facets.reflections import ReflectionChoice

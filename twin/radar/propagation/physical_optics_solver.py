@@ -18,8 +18,8 @@ from twin.radar.propagation.decisions import (
     on_reflections,
     on_round_obstacles,
 )
-from twin.radar.propagation.diffraction.around_edges import screens
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
+from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
     BodyEcho,

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.propagation.diffraction.around_edges import Screens, all_paths_to_points
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points

@@ -14,14 +14,13 @@ surfaces.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.outermost import OuterRims
+from twin.radar.propagation.diffraction.blocking import NOTHING, blocker, folded
 from twin.radar.propagation.diffraction.rims import (
     ONE_EDGE,
     DiffractedPaths,
@@ -33,107 +32,22 @@ from twin.radar.propagation.diffraction.rims import (
     near_edges,
     rim_paths,
 )
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.two_obstacles import (
     candidates,
     open_beside,
     over_two_obstacles,
 )
-from twin.radar.propagation.meshes.silhouettes import Outline, outline
-from twin.radar.propagation.one_way.path import TracingContext, offset_m
+from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
-from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, mirrored
-from twin.radar.propagation.scene.mesh_scene import Flat
-from twin.scene import SceneObject
-from twin.scene.boxes import boxes_of
-from twin.transfer import aligned, host, vector
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _PAIRS = 2**20  # of points and edges, at once
-_NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
-_NOTHING, _NO_WAY = -1, -2  # instead of the number of an object that blocks a path
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
-
-
-@dataclass(frozen=True, eq=False)
-class Screens:
-    """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
-
-    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
-    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar`` are
-    outlines that were asked for from there, by obstacle, and ``rims`` by source.
-    """
-
-    prepared: PreparedScene
-    items: tuple[SceneObject, ...]
-    body: NDArray[np.int32]
-    boxes: Array
-    faintest: float
-    from_radar: dict[int, Outline] = field(default_factory=dict)
-    rims: dict[bytes, OuterRims] = field(default_factory=dict)
-
-    @cached_property
-    def centers(self) -> Array:
-        """Of boxes, (n, 3)."""
-        centers: Array = self.boxes.mean(axis=1)
-        return centers
-
-    @cached_property
-    def radii(self) -> Array:
-        """Of spheres around boxes, (n,)."""
-        radii: Array = np.linalg.norm(self.boxes[:, 1] - self.boxes[:, 0], axis=1) / 2
-        return radii
-
-    @property
-    def wavenumber(self) -> float:
-        """At the carrier, rad/m."""
-        return 2 * np.pi / self.prepared.wavelength_m
-
-    def outline(self, item: int, place: Array) -> Outline:
-        """That of an obstacle from a place relative to the anchor."""
-        if not np.array_equal(place, self.prepared.images[0].place):
-            return outline(self.items[item], place + self.prepared.anchor_m)
-        if item not in self.from_radar:
-            self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
-        return self.from_radar[item]
-
-    def rim(self, item: int, source: Array, reach_m: float, own: int = -1) -> Outline:
-        """Of an obstacle's outline what is on the outline of all that stands close to it, but for
-        parts of a body that points are their ``own`` of, from the radar or an image of it, relative
-        to the anchor, to points so far from there.
-        """
-        return self.rims_from(source).of(item, reach_m, own)
-
-    def rims_from(self, source: Array) -> OuterRims:
-        """From the radar or an image of it."""
-        if (key := source.tobytes()) not in self.rims:
-            alone = int(self.body.max(initial=-1)) + 1 + np.arange(len(self.items))
-            owner = np.where(self.body >= 0, self.body, alone)
-            outlines = partial(self.outline, place=source)
-            self.rims[key] = OuterRims(self.prepared, self.items, owner, outlines, source)
-        return self.rims[key]
-
-
-def screens(
-    prepared: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
-) -> Screens | None:
-    """Everything opaque in a scene, for shadows down to a depth in dB; None where it is 0.
-
-    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
-    """
-    items = prepared.originals[: len(prepared.world.face_ranges)]
-    if shadow_db <= 0 or not items:
-        return None
-    bodies = np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)]
-    return Screens(
-        prepared=prepared,
-        items=items,
-        body=bodies,
-        boxes=boxes_of(items) - prepared.anchor_m,
-        faintest=float(10 ** (-shadow_db / 20)),
-    )
 
 
 class _Singles(NamedTuple):
@@ -250,7 +164,7 @@ class Segment:
     def turns(self, paths: DiffractedPaths, edges: Array) -> Array:
         """Vertices of paths from the points to the radar, (m, n, 3); ``edges``: at (n, 2, 3)."""
         prepared = self.obstacles.prepared
-        return _folded(prepared, self.image, self.level, self.places[paths.point], edges)
+        return folded(prepared, self.image, self.level, self.places[paths.point], edges)
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
         """Obstacles that may reach into the Fresnel ellipsoid of the path to any active point, or
@@ -291,7 +205,7 @@ class Segment:
         """
         paths = self._over(item, rim, rows)
         blocker = self._blocker(paths)
-        two, alone, is_open = self._twice(item, rows, paths, blocker == _NOTHING)
+        two, alone, is_open = self._twice(item, rows, paths, blocker == NOTHING)
         single = _Singles(paths, is_open, blocker)
         return single, two.take(self._is_open(two)), alone.take(self._is_open(alone))
 
@@ -350,11 +264,11 @@ class Segment:
         return two.take(matters), rest.take(once), is_open
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
-        return self._blocker(paths) == _NOTHING
+        return self._blocker(paths) == NOTHING
 
     def _blocker(self, paths: DiffractedPaths) -> Indices:
         turns = self.turns(paths, paths.stops + paths.aside)
-        return _blocker(self.obstacles.prepared, turns, self.off[paths.point])
+        return blocker(self.obstacles.prepared, turns, self.off[paths.point])
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:
@@ -362,68 +276,6 @@ def _groups(rows: Indices, own: Indices) -> list[Indices]:
     lone = rows[own[rows] < 0]
     bodies = [rows[own[rows] == body] for body in np.unique(own[rows]) if body >= 0]
     return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
-
-
-def _folded(
-    prepared: PreparedScene, image: Image, level: int, places: Array, stops: Array
-) -> Array:
-    """Vertices (m, n, 3) of paths from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
-    radar; NaN where a mirror is not between its neighbours.
-    """
-    patches = [prepared.flats[number] for number in image.patches]
-    aims = [stops[:, 1]]
-    for flat in patches[level:]:
-        aims.append(mirrored(aims[-1], flat))
-    chain = [places]
-    for flat, aim in zip(patches[level:][::-1], aims[:0:-1], strict=True):
-        chain.append(_mirror(chain[-1], aim, flat))
-    chain += [stops[:, 1], stops[:, 0]]
-    for flat, image_place in zip(patches[:level][::-1], image.places[level:0:-1], strict=True):
-        chain.append(_mirror(chain[-1], image_place, flat))
-    return np.stack([*chain, np.broadcast_to(image.places[0], places.shape)])
-
-
-def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
-    """Where segments (n, 3) meet a plane, a little before it; NaN where they don't."""
-    height, beyond = ((x - flat.point) @ flat.normal for x in (begin, aim))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = height / (height - beyond)
-    share = np.where((share > 0) & (share < 1), share, np.nan)[:, None]
-    place = begin + share * (aim - begin)
-    reflection_point: Array = place + 2 * offset_m(place) * np.sign(height)[:, None] * flat.normal
-    return reflection_point
-
-
-def _blocker(prepared: PreparedScene, chain: Array, off: Array) -> Indices:
-    """Number of the object that stands first between two vertices that follow each other, (n,)."""
-    blocker = np.where(np.isfinite(chain).all(axis=(0, 2)), _NOTHING, _NO_WAY)
-    for k in range(len(chain) - 1):
-        rows = np.flatnonzero(blocker == _NOTHING)
-        begin = chain[k, rows] + (off[rows] if k == 0 else 0)
-        blocker[rows] = _first_between(prepared, begin, chain[k + 1, rows])
-    return blocker
-
-
-def _first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices:
-    """Number of the object that rays from points to others (n, 3) first meet, -1: none."""
-    if not len(begin):
-        return np.zeros(0, dtype=np.int64)  # the engine aborts the process on none
-    mi = prepared.context.mi
-    length = np.linalg.norm(end - begin, axis=1, keepdims=True)
-    direction = (end - begin) / np.maximum(length, 1e-300)
-    reach = (length[:, 0] * (1 - _NEXT_TO)).astype(np.float32)
-    ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
-    ray = mi.Ray3f(ray.o, ray.d, mi.Float(aligned(reach)), 0.0, [])
-    active = mi.Bool(aligned(reach > 0))
-    hit = prepared.world.scene.ray_intersect_preliminary(ray, active=active)
-    is_met, face = host([hit.is_valid(), hit.prim_index], len(begin))
-    objects = prepared.world.object_of_face.astype(np.int64)
-    return np.where(is_met, objects[np.where(is_met, face, 0)], _NOTHING)
-
-
-def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
-    """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
-    return _first_between(prepared, places + off, np.broadcast_to(source, places.shape))
 
 
 def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:

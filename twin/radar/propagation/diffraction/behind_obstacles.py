@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import Screens, first_hit
+from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
 from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves

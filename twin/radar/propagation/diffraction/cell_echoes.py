@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import (
-    Screens,
-    all_paths_to_points,
-    first_hit,
-)
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.bends import Bends
+from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points

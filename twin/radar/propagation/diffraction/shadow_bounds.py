@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import Screens
 from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.meshes.silhouettes import Outline
 

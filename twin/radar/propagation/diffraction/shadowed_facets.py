@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import Screens
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.facets.uniform_subdivision import longest_edges
 from twin.radar.propagation.rows import dots, lengths
 

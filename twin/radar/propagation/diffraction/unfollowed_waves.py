@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import Screens
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest, matching_pairs
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import are_beside
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.meshes.silhouettes import Outline

@@ -1,0 +1,94 @@
+"""Obstacles that waves go round, and their outlines as the radar or an image of it sees them."""
+
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.outermost import OuterRims
+from twin.radar.propagation.meshes.silhouettes import Outline, outline
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.scene import SceneObject
+from twin.scene.boxes import boxes_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Screens:
+    """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
+
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
+    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar`` are
+    outlines that were asked for from there, by obstacle, and ``rims`` by source.
+    """
+
+    prepared: PreparedScene
+    items: tuple[SceneObject, ...]
+    body: NDArray[np.int32]
+    boxes: Array
+    faintest: float
+    from_radar: dict[int, Outline] = field(default_factory=dict)
+    rims: dict[bytes, OuterRims] = field(default_factory=dict)
+
+    @cached_property
+    def centers(self) -> Array:
+        """Of boxes, (n, 3)."""
+        centers: Array = self.boxes.mean(axis=1)
+        return centers
+
+    @cached_property
+    def radii(self) -> Array:
+        """Of spheres around boxes, (n,)."""
+        radii: Array = np.linalg.norm(self.boxes[:, 1] - self.boxes[:, 0], axis=1) / 2
+        return radii
+
+    @property
+    def wavenumber(self) -> float:
+        """At the carrier, rad/m."""
+        return 2 * np.pi / self.prepared.wavelength_m
+
+    def outline(self, item: int, place: Array) -> Outline:
+        """That of an obstacle from a place relative to the anchor."""
+        if not np.array_equal(place, self.prepared.images[0].place):
+            return outline(self.items[item], place + self.prepared.anchor_m)
+        if item not in self.from_radar:
+            self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
+        return self.from_radar[item]
+
+    def rim(self, item: int, source: Array, reach_m: float, own: int = -1) -> Outline:
+        """Of an obstacle's outline what is on the outline of all that stands close to it, but for
+        parts of a body that points are their ``own`` of, from the radar or an image of it, relative
+        to the anchor, to points so far from there.
+        """
+        return self.rims_from(source).of(item, reach_m, own)
+
+    def rims_from(self, source: Array) -> OuterRims:
+        """From the radar or an image of it."""
+        if (key := source.tobytes()) not in self.rims:
+            alone = int(self.body.max(initial=-1)) + 1 + np.arange(len(self.items))
+            owner = np.where(self.body >= 0, self.body, alone)
+            outlines = partial(self.outline, place=source)
+            self.rims[key] = OuterRims(self.prepared, self.items, owner, outlines, source)
+        return self.rims[key]
+
+
+def screens(
+    prepared: PreparedScene, shadow_db: float, body: NDArray[np.int32] | None = None
+) -> Screens | None:
+    """Everything opaque in a scene, for shadows down to a depth in dB; None where it is 0.
+
+    ``body`` (n,) numbers the bodies that objects are parts of, -1 for none.
+    """
+    items = prepared.originals[: len(prepared.world.face_ranges)]
+    if shadow_db <= 0 or not items:
+        return None
+    bodies = np.full(len(items), -1, dtype=np.int32) if body is None else body[: len(items)]
+    return Screens(
+        prepared=prepared,
+        items=items,
+        body=bodies,
+        boxes=boxes_of(items) - prepared.anchor_m,
+        faintest=float(10 ** (-shadow_db / 20)),
+    )
