@@ -40,6 +40,7 @@ _ROOMS = (
     "driving",
     "commands",
     "noise_intervals",
+    "several_antennas",
     "stated_errors",
 )
 

@@ -22,7 +22,7 @@ from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import channel as received
 from twin.radar.detection_count import targets_detected
 from twin.radar.device.front_end import digitize
-from twin.radar.evaluation import evaluate_radar
+from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 
@@ -51,16 +51,17 @@ def figures() -> Iterator[Figure]:
         )
         for snr in _SNRS:
             for figure, drawn in camera_draws(load_scene("table1"), system, snr, _SEEDS).items():
-                yield from _told(f"camera, {name}, SNR {snr:g}, {figure}", drawn)
+                yield from told(f"camera, {name}, SNR {snr:g}, {figure}", drawn)
     for less_db in _LESS_DB:
         radar = load_radar("hybrid-79")
         power_w = radar.front_end.transmit_power_w.value * 10 ** (-less_db / 10)
         radar = radar.with_({"front_end.transmit_power_w": power_w})
         for figure, drawn in radar_draws(load_scene("yard"), radar, _RADAR_SEEDS).items():
-            yield from _told(f"radar, {less_db:g} dB less power, {figure}", drawn)
+            yield from told(f"radar, {less_db:g} dB less power, {figure}", drawn)
 
 
-def _told(what: str, drawn: Drawn) -> Iterator[Figure]:
+def told(what: str, drawn: Drawn) -> Iterator[Figure]:
+    """Coverage of a figure's intervals, and their width."""
     scatter = np.std([interval.value for interval in drawn], ddof=1)
     stated = np.sqrt(np.mean([interval.noise**2 for interval in drawn]))
     yield f"{what}: within the interval of another draw", 100 * coverage(drawn), "%"
@@ -112,13 +113,8 @@ def radar_draws(
     scene: Scene, radar: RadarDesign, n: int, fidelity: Fidelity | None = None
 ) -> dict[str, list[Interval]]:
     """Figures of targets of the same echoes, of those detected in all draws; and their number."""
-    capture = radar_capture(scene, radar, fidelity=fidelity)
-    quiet = received(capture.bursts[0], radar, capture.air)
     found: dict[str, list[Interval]] = defaultdict(list)
-    for seed in range(n):
-        iq, flags = (x[None] for x in digitize(quiet, radar, rng=np.random.default_rng(seed))[:2])
-        record = replace(capture.record, iq=iq, flags=flags)
-        evaluation = evaluate_radar(radar, replace(capture, record=record))
+    for evaluation in evaluations(scene, radar, n, fidelity):
         found["targets detected"].append(targets_detected(evaluation))
         for target, intervals in zip(evaluation.matches, evaluation.intervals, strict=True):
             if target is not None:
@@ -126,3 +122,16 @@ def radar_draws(
                     if np.isfinite(interval.value):
                         found[f"{target.name}, {name}"].append(interval)
     return {name: drawn for name, drawn in found.items() if len(drawn) == n}
+
+
+def evaluations(
+    scene: Scene, radar: RadarDesign, n: int, fidelity: Fidelity | None = None
+) -> Iterator[RadarEvaluation]:
+    """What the vehicle makes of the same echoes in so many draws of the noise."""
+    capture = radar_capture(scene, radar, fidelity=fidelity)
+    quiet = received(capture.bursts[0], radar, capture.air)
+    for seed in range(n):
+        iq, flags = (x[None] for x in digitize(quiet, radar, rng=np.random.default_rng(seed))[:2])
+        yield evaluate_radar(
+            radar, replace(capture, record=replace(capture.record, iq=iq, flags=flags))
+        )

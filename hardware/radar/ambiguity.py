@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
 from hardware.radar.refinement import (
@@ -36,7 +37,7 @@ from hardware.radar.refinement import (
     blocks_about,
     echo_amplitudes,
     peak_offsets,
-    residual_power,
+    residual_cells,
     unit_echoes,
 )
 from hardware.waveform import C_M_PER_S, OfdmWaveform
@@ -269,7 +270,7 @@ def _measure_at(
         waveform,
         noise_w,
         "boxcar",
-        residual_power(blocks, step),
+        ChannelNoise.of_cells(residual_cells(blocks, step), noise_w),
     )
 
 

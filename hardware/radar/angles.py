@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hardware.radar.ambiguity import CERTAIN
 from hardware.radar.burst import DemodulatedBurst
+from hardware.radar.channel_noise import ChannelNoise
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -60,9 +61,10 @@ class Direction:
 
 
 def direction(
-    amplitude: Complex, burst: DemodulatedBurst, delay_rates: ArrayLike, snr: float
+    amplitude: Complex, burst: DemodulatedBurst, delay_rates: ArrayLike, noise: ChannelNoise
 ) -> Direction:
-    """Direction of a single target by beamforming: maximum likelihood in white noise.
+    """Direction of a single target by beamforming: maximum likelihood in white noise; of noise that
+    channels share the errors are larger or smaller.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ def direction(
         Places and TDM offsets of the channels.
     delay_rates : (n_rates,) or one
         Rates that the target's delay may have, in s/s, likeliest first.
-    snr
-        Of the target on one channel, after all processing.
+    noise
+        Of the amplitudes.
     """
     rates = np.atleast_1d(np.asarray(delay_rates, dtype=np.float64))
     places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
@@ -86,11 +88,12 @@ def direction(
         beam = np.vdot(steering(places, cosines[i]), still)
         share[i] = np.abs(beam) ** 2 / max(len(still) * np.vdot(still, still).real, 1e-300)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
-    centred = places[:, seen] - places[:, seen].mean(axis=0)
-    information = 2 * snr * (2 * np.pi) ** 2 * centred.T @ centred
+    phases = compensate_motion(steering(places, cosines[best]).conj(), burst, rates[best]).conj()
     errors = np.full(2, np.nan)
-    errors[seen] = np.sqrt(np.diag(np.linalg.pinv(information))) if seen.any() else np.nan
+    errors[seen] = noise.cosine_errors(amplitude, phases, places[:, seen])
     left, up = np.where(seen, cosines[best], np.nan)
+    apart_w = _between_transmitters(noise, phases, burst)
+    snr = noise.signal_w(amplitude) / apart_w if apart_w else np.inf
     left_open = _possible_rates(share, snr * len(amplitude), len(amplitude))
     left_open[best] = False
     return Direction(
@@ -116,6 +119,14 @@ def _possible_rates(share: Array, snr: float, n_channels: int) -> NDArray[np.boo
     if residual > chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr:
         return np.ones(len(share), dtype=bool)
     return np.asarray(snr * (share.max() - share) < CERTAIN)
+
+
+def _between_transmitters(noise: ChannelNoise, phases: Complex, burst: DemodulatedBurst) -> float:
+    """Mean noise of an echo's amplitudes on each transmitter, which tell its rate: of a channel if
+    the noise is white.
+    """
+    turns = np.unique(burst.tdm_offset_s)
+    return float(np.mean([noise.along(phases * (burst.tdm_offset_s == turn)) for turn in turns]))
 
 
 def virtual_array(burst: DemodulatedBurst) -> Array:

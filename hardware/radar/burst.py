@@ -43,6 +43,9 @@ class DemodulatedBurst:
         Mean noise by range and rate, normalised to a mean of about 1: with carrier steps from the
         differences between their slots, with one carrier from the residual phase noise beside
         strong echoes; None where it is uniform.
+    leakage : (n_channels,)
+        Amplitude of the leakage whose phase noise was subtracted: what is left of it, the noise
+        that is uneven, has the ratios of its receivers. None where there was none.
     whole
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
     """
@@ -55,6 +58,7 @@ class DemodulatedBurst:
     whole: bool
     warnings: tuple[str, ...]
     relative_noise: Array | None = None
+    leakage: Complex | None = None
 
 
 def demodulate(
@@ -102,12 +106,14 @@ def demodulate(
     samples = without_images(samples, wave)
     leakage_warnings: tuple[str, ...] = ()
     seen = True
-    motion = relative_noise = None
+    motion = relative_noise = mode = None
     if leakage and np.isfinite(leakage_s):
         if leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
             samples = [with_steady_phase(step, wave, leakage_s) for step in samples]
             if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
-                cleaned, relative_noise = without_phase_noise(samples[0], wave, leakage_s, schedule)
+                cleaned, relative_noise, mode = without_phase_noise(
+                    samples[0], wave, leakage_s, schedule
+                )
                 samples = [cleaned]
         else:
             means = [step.mean(axis=0, keepdims=True) for step in samples]
@@ -147,6 +153,7 @@ def demodulate(
         whole=part.whole,
         warnings=(*part.warnings, *leakage_warnings),
         relative_noise=relative_noise,
+        leakage=None if mode is None else mode.ravel(),
     )
 
 

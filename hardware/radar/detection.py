@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.radar.cfar_rule import Cfar
+from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import (
     EchoMeasurement,
@@ -22,6 +23,7 @@ from hardware.radar.refinement import (
     blocks_about,
     echo_amplitudes,
     peak_offsets,
+    residual_cells,
     residual_power,
 )
 from hardware.radar.sensitivity import side_lobe, weak_echoes
@@ -39,8 +41,8 @@ _ON_TAPERED = 0.2  # share of the false alarms of the windowed map, at least
 class Detection:
     """One target. What was not measured is NaN.
 
-    Standard errors follow from the SNR and the window; without a window they are the Cramer-Rao
-    bounds.
+    Standard errors follow from the noise around the echo, which channels may share, and from the
+    window; in white noise, without a window, they are the Cramer-Rao bounds.
 
     Parameters
     ----------
@@ -169,30 +171,43 @@ def detect_echoes(
     delay_s = np.concatenate([strong.delay_s, weak.delay_s])
     delay_rate = np.concatenate([strong.delay_rate, weak.delay_rate])
     blocks = blocks_about(channel, waveform, "boxcar", delay_s, delay_rate)
-    echoes, crowded = _isolated(blocks[: len(strong)], waveform, window, strong, noise_w)
-    echoes += _measurements_at(channel, waveform, window, crowded, image.noise_w)
+    echoes = _strong_measurements(
+        blocks[: len(strong)], channel, waveform, window, strong, (noise_w, image.noise_w)
+    )
     echoes += _weak_measurements(blocks[len(strong) :], waveform, noise_w, echoes)
     return without_duplicates(echoes, waveform)[:at_most]
 
 
-def _isolated(
-    blocks: Sequence[Blocks], waveform: OfdmWaveform, window: str, peaks: Peaks, noise_w: float
-) -> tuple[list[EchoMeasurement], Peaks]:
-    """Peaks of a windowed map that are measured better without the window, and the others.
+def _strong_measurements(
+    blocks: Sequence[Blocks],
+    channel: Complex,
+    waveform: OfdmWaveform,
+    window: str,
+    peaks: Peaks,
+    noise_w: tuple[float, float],
+) -> list[EchoMeasurement]:
+    """Peaks of a windowed map, measured without the window or with it, whichever is better.
 
     Without a window the error due to noise is least and reaches its bound, but side lobes of other
-    echoes interfere. The power around an echo after its subtraction shows by how much.
+    echoes interfere. The power around an echo after its subtraction shows by how much; it may also
+    be the echo's own phase noise, against which no window helps. ``noise_w``: mean noise of a cell
+    without the window and with it.
     """
     size = max(waveform.n_subcarriers, waveform.n_slots)
     worse = frequency_variance(normalised_window(window, size)) / frequency_variance(np.ones(size))
-    isolated, crowded = [], []
+    echoes, crowded = [], []
     for i, (about, step) in enumerate(zip(blocks, peak_offsets(blocks), strict=True)):
-        around_w = residual_power(about, step)
-        if around_w < worse * peaks.noise_w[i]:
-            isolated.append(_measurement(about, step, waveform, noise_w, "boxcar", around_w))
-        else:
+        around = residual_cells(about, step)
+        noise = ChannelNoise.of_cells(around, noise_w[0])
+        echoes.append(_measurement(about, step, waveform, noise_w[0], "boxcar", noise))
+        if residual_power(around) >= worse * peaks.noise_w[i]:
             crowded.append(i)
-    return isolated, peaks[np.array(crowded, dtype=np.intp)]
+    some = peaks[np.array(crowded, dtype=np.intp)]
+    with_window = _measurements_at(channel, waveform, window, some, noise_w[1])
+    for i, echo in zip(crowded, with_window, strict=True):
+        if not echoes[i].relative_error < echo.relative_error:
+            echoes[i] = echo
+    return echoes
 
 
 def _measurements_at(
@@ -205,8 +220,9 @@ def _measurements_at(
     blocks = blocks_about(channel, waveform, window, peaks.delay_s, peaks.delay_rate)
     echoes = []
     for about, step, cfar_w in zip(blocks, peak_offsets(blocks), peaks.noise_w, strict=True):
-        around_w = max(float(cfar_w), residual_power(about, step, _WITHIN))
-        echoes.append(_measurement(about, step, waveform, noise_w, window, around_w))
+        around = residual_cells(about, step, _WITHIN, follow=False)
+        noise = ChannelNoise.of_cells(around, max(float(cfar_w), noise_w) if noise_w else 0.0)
+        echoes.append(_measurement(about, step, waveform, noise_w, window, noise))
     return echoes
 
 
@@ -220,7 +236,8 @@ def _weak_measurements(
     cells = np.array([waveform.n_subcarriers, waveform.n_slots])
     echoes: list[EchoMeasurement] = []
     for about, step in zip(blocks, peak_offsets(blocks), strict=True):
-        weak = _measurement(about, step, waveform, noise_w, "boxcar", residual_power(about, step))
+        noise = ChannelNoise.of_cells(residual_cells(about, step), noise_w)
+        weak = _measurement(about, step, waveform, noise_w, "boxcar", noise)
         others = [*strong, *echoes]
         lobes = np.prod(side_lobe(cells_apart([weak], others, waveform)[0], cells), axis=-1)
         lobes_w = float(lobes @ [other.power_w for other in others])
@@ -235,10 +252,10 @@ def _measurement(
     waveform: OfdmWaveform,
     noise_w: float,
     window: str,
-    around_w: float,
+    noise: ChannelNoise,
 ) -> EchoMeasurement:
     return echo_measurement(
-        blocks, step, echo_amplitudes(blocks, step), waveform, noise_w, window, around_w
+        blocks, step, echo_amplitudes(blocks, step), waveform, noise_w, window, noise
     )
 
 

@@ -1,11 +1,12 @@
 """One echo as it is measured on the channel: delay, delay rate and amplitude, with their errors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.refinement import Blocks
 from hardware.radar.windows import frequency_variance, normalised_window
 from hardware.waveform import OfdmWaveform
@@ -18,8 +19,9 @@ class EchoMeasurement:
     """Delay there and back, its rate (s/s, positive: receding) and power of one echo.
 
     ``power_w``: received by one antenna, with its standard error ``power_error_w``. ``amplitude``
-    (n_channels,): on every channel, in root watts. Standard errors follow from the SNR and the
-    window; without a window they are the Cramer-Rao bounds. Values not measured are NaN: the rate
+    (n_channels,): on every channel, in root watts, with its ``noise``. Standard errors follow from
+    them and the window; in white noise, without a window, they are the Cramer-Rao bounds. Values
+    not measured are NaN: the rate
     from a single slot, the delay from a single subcarrier. ``delay_rate_alternatives``: other rates
     that the record cannot exclude, likeliest first.
     """
@@ -32,7 +34,13 @@ class EchoMeasurement:
     delay_rate_error: float
     power_error_w: float
     amplitude: NDArray[np.complex128]
+    noise: ChannelNoise
     delay_rate_alternatives: tuple[float, ...] = ()
+
+    @property
+    def relative_error(self) -> float:
+        """Standard error of the delay; of the rate where no delay is measured."""
+        return self.delay_rate_error if np.isnan(self.delay_s) else self.delay_error_s
 
 
 def echo_measurement(
@@ -42,18 +50,16 @@ def echo_measurement(
     waveform: OfdmWaveform,
     noise_w: float,
     window: str,
-    around_w: float = 0.0,
+    noise: ChannelNoise,
 ) -> EchoMeasurement:
     """The echo ``step`` cells from the middle of blocks.
 
-    ``noise_w``: of the map, for the SNR; ``around_w``: power around the echo, used in its errors
-    if it exceeds the noise. Along an axis of one sample nothing is measured: NaN.
+    ``noise_w``: of the map, for the SNR; ``noise``: of the amplitudes, for the errors. Along an
+    axis of one sample nothing is measured: NaN.
     """
     power_w = float(np.mean(np.abs(amplitude) ** 2))
     snr = power_w / noise_w if noise_w else np.inf
-    disturbance_w = max(noise_w, around_w) if noise_w else 0.0
-    disturbed = power_w / disturbance_w if noise_w else np.inf
-    delay_error_s, rate_error = standard_errors(waveform, window, disturbed * len(amplitude))
+    delay_error_s, rate_error = standard_errors(waveform, window, noise.snr(amplitude))
     delay_s = blocks.delay_s + step[0] * blocks.grid.cell[0]
     delay_rate = blocks.delay_rate + step[1] * blocks.grid.cell[1]
     return EchoMeasurement(
@@ -65,14 +71,23 @@ def echo_measurement(
         snr_db=float(10 * np.log10(snr)) if snr else -np.inf,
         delay_error_s=delay_error_s,
         delay_rate_error=rate_error,
-        power_error_w=_power_error_w(power_w, disturbance_w, len(amplitude)),
+        power_error_w=noise.power_error_w(amplitude),
         amplitude=amplitude,
+        noise=noise,
     )
 
 
-def _power_error_w(power_w: float, noise_w: float, n_channels: int) -> float:
-    """Standard deviation of the mean of |a + n|^2 over channels with independent complex noise."""
-    return float(np.sqrt((2 * power_w * noise_w + noise_w**2) / n_channels))
+def with_noise(echo: EchoMeasurement, noise: ChannelNoise) -> EchoMeasurement:
+    """An echo with its standard errors in other noise."""
+    before, now = echo.noise.snr(echo.amplitude), noise.snr(echo.amplitude)
+    wider = float(np.sqrt(before / now)) if now < np.inf else 1.0
+    return replace(
+        echo,
+        delay_error_s=wider * echo.delay_error_s,
+        delay_rate_error=wider * echo.delay_rate_error,
+        power_error_w=noise.power_error_w(echo.amplitude),
+        noise=noise,
+    )
 
 
 def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[float, float]:

@@ -103,10 +103,10 @@ def _slopes(phase: Array, time: Array) -> Array:
 
 def without_phase_noise(
     samples: Complex, waveform: OfdmWaveform, delay_s: float, schedule: NDArray[np.intp]
-) -> tuple[Complex, Array | None]:
+) -> tuple[Complex, Array | None, Complex]:
     """Samples (n_slots, n_receivers, n_subcarriers) after subtraction of the leakage's phase noise
-    within slots, and the noise (n_subcarriers, n_rounds) of every cell of range and rate over that
-    of others at its range; None where it is uniform.
+    within slots; the noise (n_subcarriers, n_rounds) of every cell of range and rate over that of
+    others at its range, None where it is uniform; and the leakage (n_transmitters, n_receivers).
 
     Beside a strong echo the phase noise is estimated from the mirror image alone, with its thermal
     noise.
@@ -140,13 +140,15 @@ def without_phase_noise(
     for slots, level, part in zip(schedule, levels, noise, strict=True):
         within = 1j * ifft2(part, norm="ortho", workers=-1).imag * unit
         cleaned[slots] -= within[:, None] * level[:, None].astype(samples.dtype)
+    leakage = np.stack(levels)
     if more is None:
-        return cleaned, None
+        return cleaned, None, leakage
     # By range and rate, which run against the transform; the other receivers have none of it.
     ranges = -np.arange(more.shape[1]) + round(delay_s * waveform.bandwidth_hz)
     rates = (more.shape[0] - 1) // 2 - np.arange(more.shape[0])
     n_receivers = samples.shape[1]
-    return cleaned, (n_receivers - 1 + more[rates][:, ranges % more.shape[1]].T) / n_receivers
+    more = more[rates][:, ranges % more.shape[1]].T
+    return cleaned, (n_receivers - 1 + more) / n_receivers, leakage
 
 
 def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:

@@ -16,6 +16,7 @@ from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.k_distribution import ClutterFit, fit
+from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement, without_duplicates
 from hardware.radar.music import music
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
@@ -292,11 +293,12 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
 
     The array may exclude rates that migration cannot.
     """
+    echo = with_noise_of_its_cell(echo, interval)
     if not np.any(extents(virtual_array(interval))[1:] > 0):
         return [Detection.of(echo)]
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
-    bearing = direction(echo.amplitude, interval, rates, 10 ** (echo.snr_db / 10))
+    bearing = direction(echo.amplitude, interval, rates, echo.noise)
     echo = replace(
         echo,
         delay_rate=bearing.delay_rate if measured else float("nan"),

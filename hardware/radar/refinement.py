@@ -24,6 +24,11 @@ _BLOCKS = 64  # along each axis; half a cell turns a block's ends by pi / 128
 _SERIES = 5.0  # radians, up to which a series takes less time than exponentials
 _TERMS = 38  # of it
 _ROUNDING = 1e-17  # its first term that is left out
+#: Cells to each side of an echo in which its noise is measured.
+AROUND = 3
+_APART = 0.01  # cells between places of which the differences tell how an echo changes
+_ALIKE = 1e-9  # of their power: less is rounding error
+_LEAST_LEFT = 0.05  # of noise, from which its power can be told
 _CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
 
 
@@ -308,18 +313,48 @@ def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
     return blocks.grid.phasor(-steps) * (along_f[:, :, None] * along_t[:, None])
 
 
-def residual_power(blocks: Blocks, step: Array, reach: int = 3) -> float:
-    """Mean power of the cells around a target after its subtraction: of noise and of other echoes.
+def residual_cells(
+    blocks: Blocks, step: Array, reach: int = AROUND, *, follow: bool = True
+) -> NDArray[np.complex128]:
+    """Amplitudes (n_channels, n_cells) of the cells around a target after its subtraction: noise
+    and other echoes, up to ``reach`` cells to each side.
 
-    The mean is over ``reach`` cells to each side, and over channels.
+    ``follow``: every channel has a delay and a rate of its own, as where antennas are a part of a
+    range cell apart. What the subtraction takes from white noise is given back in the mean.
     """
-    atom = unit_echoes(blocks, step[None])[0].ravel()
+    places = step + np.array([[0.0, 0.0], [_APART, 0.0], [0.0, _APART]])[: 3 if follow else 1]
+    atoms = unit_echoes(blocks, places).reshape(len(places), -1)
+    values, vectors = np.linalg.eigh(atoms.conj() @ atoms.T)
+    some = values > _ALIKE * values[-1]  # along an axis of one sample all places are the same
+    basis = (atoms.T @ vectors[:, some] / np.sqrt(values[some])).T
     flat = blocks.sums.reshape(len(blocks.sums), -1)
-    amplitude = flat @ atom.conj() / np.vdot(atom, atom).real
-    rest = (flat - amplitude[:, None] * atom).reshape(blocks.sums.shape)
-    cells = [
-        np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in rest[0].shape
-    ]
-    across = np.exp(1j * np.outer(step[0] + cells[0], blocks.grid.by_delay))
-    along = np.exp(1j * np.outer(blocks.grid.by_rate, step[1] + cells[1]))
-    return float(np.mean(np.abs(across @ rest @ along) ** 2))
+    cells = _cells_around(flat - (flat @ basis.conj().T) @ basis, blocks.grid, step, reach)
+    left = _share_left(basis, blocks.grid, step, reach)
+    return cells / np.sqrt(left) if left > _LEAST_LEFT else np.zeros_like(cells)
+
+
+def residual_power(cells: NDArray[np.complex128]) -> float:
+    """Mean power of `residual_cells` over cells and channels."""
+    return float(np.mean(np.abs(cells) ** 2))
+
+
+def _cells_around(
+    flat: NDArray[np.complex128], grid: BlockGrid, step: Array, reach: int
+) -> NDArray[np.complex128]:
+    """Cells (n, n_cells) around a place of block sums (n, n_blocks)."""
+    shape = len(grid.f_hz), len(grid.t_s)
+    cells = [np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in shape]
+    across = np.exp(1j * np.outer(step[0] + cells[0], grid.by_delay))
+    along = np.exp(1j * np.outer(grid.by_rate, step[1] + cells[1]))
+    return np.asarray((across @ flat.reshape(-1, *shape) @ along).reshape(len(flat), -1))
+
+
+def _share_left(basis: NDArray[np.complex128], grid: BlockGrid, step: Array, reach: int) -> float:
+    """Mean power of white noise in the cells around a place after projection out of an orthonormal
+    basis (n, n_blocks), over that before.
+    """
+    power = np.outer(grid.count_f * grid.taper_f**2, grid.count_t * grid.taper_t**2).ravel()
+    taken, with_noise = (_cells_around(part, grid, step, reach) for part in (basis, basis * power))
+    among = (basis * power) @ basis.conj().T
+    lost = 2 * np.vdot(taken, with_noise).real - np.vdot(taken, among.T @ taken).real
+    return float(1 - lost / (power.sum() * taken.shape[1]))

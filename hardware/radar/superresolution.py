@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import EchoMeasurement, echo_measurement
 from hardware.radar.refinement import Blocks, blocks_about, unit_echoes
@@ -78,8 +79,9 @@ def resolve(
             np.concatenate([unit_echoes(blocks, steps), known]), blocks.sums
         )
         amplitudes, rest = every[: len(steps)], blocks.sums - explained
+    noise = ChannelNoise.white(len(blocks.sums), noise_w)
     parts = [
-        echo_measurement(blocks, step, amplitude, waveform, noise_w, "boxcar")
+        echo_measurement(blocks, step, amplitude, waveform, noise_w, "boxcar", noise)
         for step, amplitude in zip(steps, amplitudes, strict=True)
     ]
     return sorted(parts, key=lambda part: part.delay_s)

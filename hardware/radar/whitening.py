@@ -37,8 +37,9 @@ def whiten(images: Sequence[Complex]) -> tuple[list[Complex], float]:
     stack = np.stack(images)
     looks = float(n)
     for start in range(0, n_ranges, size):
-        part = stack[..., max(0, min(start, n_ranges - size)) : start + size]
-        covariance, n_cells = _covariance(part)
+        # Of the images, since a last, short block is told by ranges that are whitened already.
+        first = max(0, min(start, n_ranges - size))
+        covariance, n_cells = _covariance(np.stack([i[:, first : start + size] for i in images]))
         values, vectors = np.linalg.eigh(covariance)
         if values[0] <= 0:
             continue

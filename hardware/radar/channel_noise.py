@@ -1,0 +1,96 @@
+"""What noise that the channels of an array share does to level, delay, rate and direction.
+
+The amplitudes of an echo on the channels are a = s + n: those without noise, all of one modulus,
+and noise of covariance C, measured on the cells around the echo. Whitening serves detection alone;
+everything is measured on the channels as they are:
+
+- the power is the mean of |a|^2 over V channels: its variance is 2 s'Cs / V^2, and tr(C^2) / V^2;
+- delay and rate are where the sum of powers is highest: their variance is that of one channel at
+  the SNR (s's)^2 / s'Cs, and more at low SNR, where s'Cs + tr(C^2) stands for s'Cs;
+- the direction is that of the highest beam, a least-squares fit to phases, of which each errs by
+  the part of n across s: covariance K = Re(S'CS) / 2 |s|^2, with S the phases of s.
+
+The mean of a'Ca is s'Cs + tr(C^2), since C and n are of different cells: no more is needed of them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_LEAST_SIGNAL = 0.1  # of the measured power: an echo that is hardly one has large errors, not none
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelNoise:
+    """Noise of an echo's amplitudes: ``covariance_w`` (n_channels, n_channels), and the mean power
+    ``least_w`` of a channel, below which no combination of channels counts.
+    """
+
+    covariance_w: Complex
+    least_w: float
+
+    @classmethod
+    def white(cls, n_channels: int, noise_w: float) -> "ChannelNoise":
+        """Of independent channels."""
+        return cls(np.zeros((n_channels, n_channels), dtype=np.complex128), noise_w)
+
+    @classmethod
+    def of_cells(cls, cells: Complex, least_w: float) -> "ChannelNoise":
+        """Of cells (n_channels, n_cells) that contain noise alone; where a map has none, what they
+        contain is the rounding of what was subtracted.
+        """
+        if not least_w:
+            return cls.white(len(cells), 0.0)
+        return cls(cells @ cells.conj().T / max(cells.shape[1], 1), least_w)
+
+    @property
+    def mean_w(self) -> float:
+        """Mean power of a channel."""
+        return max(float(np.mean(np.diag(self.covariance_w).real)), self.least_w)
+
+    def along(self, vector: Complex) -> float:
+        """Power of the combination of channels along a vector (n_channels,)."""
+        power_w = float(np.vdot(vector, self.covariance_w @ vector).real)
+        return max(power_w / max(float(np.vdot(vector, vector).real), 1e-300), self.least_w)
+
+    def signal_w(self, amplitude: Complex) -> float:
+        """Power of an echo on one channel, without that of the noise."""
+        power_w = float(np.mean(np.abs(amplitude) ** 2))
+        return max(power_w - self.mean_w, _LEAST_SIGNAL * power_w)
+
+    def snr(self, amplitude: Complex) -> float:
+        """SNR of one channel on which delay and rate would have the errors that they have."""
+        power_w = float(np.mean(np.abs(amplitude) ** 2))
+        disturbance_w = power_w * self.along(amplitude)
+        if not disturbance_w:
+            return float("inf") if power_w else 0.0
+        return self.signal_w(amplitude) ** 2 * len(amplitude) / disturbance_w
+
+    def power_error_w(self, amplitude: Complex) -> float:
+        """Standard error of the mean power of the channels."""
+        power_w = float(np.mean(np.abs(amplitude) ** 2))
+        return float(np.sqrt(2 * power_w * self.along(amplitude) / len(amplitude)))
+
+    def cosine_errors(self, amplitude: Complex, phases: Complex, places: Array) -> Array:
+        """Standard errors (n_axes,) of direction cosines.
+
+        ``phases`` (n_channels,): of the echo without noise, of modulus 1. ``places`` (n_channels,
+        n_axes): of the channels, in wavelengths.
+        """
+        centred = places - places.mean(axis=0)
+        fit = centred @ np.linalg.pinv(centred.T @ centred) / (2 * np.pi)
+        powers = [
+            self.along(phases * weights) * np.sum(weights**2) for weights in fit.T.astype(complex)
+        ]
+        return np.asarray(np.sqrt(np.real(powers) / (2 * self.signal_w(amplitude))))
+
+    def raised(self, factor: float, mode: Complex) -> "ChannelNoise":
+        """With ``factor`` times the power along each of the modes (n_channels, n_modes), which are
+        orthonormal.
+        """
+        change = np.eye(len(mode)) + (np.sqrt(factor) - 1) * mode @ mode.conj().T
+        return replace(self, covariance_w=change @ self.covariance_w @ change.conj().T)
