@@ -7,13 +7,14 @@ estimate, not an echo. Facets at nearly one path length add up with their phases
 which the band tells apart, by their powers (Parseval).
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
-from twin.radar.propagation.diffraction.rims import farthest, matching_pairs
+from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import are_beside
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
@@ -25,6 +26,7 @@ Indices = NDArray[np.int64]
 
 _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
+_TOGETHER = 256  # outlines of objects that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,8 @@ def faint_waves(
     waves on the other way, over the straight one.
     """
     source = obstacles.prepared.images[0].place
+    order = np.argsort(facets.cell, kind="stable")
+    facets, strength = facets.take(order), strength[order]
     middle, size = facets.middle, np.bincount(facets.cell)
     center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1) - source
     weight = strength * other_way[facets.cell]
@@ -74,20 +78,11 @@ def faint_waves(
     back = -direct / straight[:, None]
     k, deepest = obstacles.wavenumber, farthest(obstacles.faintest)
     found = [FaintWaves(len(size), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))]
-    others = np.flatnonzero(obstacles.body != body)
-    radius = np.zeros(len(size))
-    is_near = np.any(are_beside(obstacles, others, center, radius), axis=0)
-    for item, near in zip(others.tolist(), np.atleast_1d(is_near).tolist(), strict=True):
-        # Of those far off the whole outline will do: rays for all of a city take seconds.
-        rim = (
-            obstacles.rim(item, source, float(np.mean(straight)), body)
-            if near
-            else obstacles.outline(item, source)
-        )
+    for rim in _rims(obstacles, body, center):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(center) if len(rim.ends) else 0, step):
             cell, edge = _met(rim, center[first : first + step])
-            pair, row = matching_pairs(cell + first, facets.cell)
+            pair, row = _of_sorted(cell + first, size)
             longer, towards = _over(rim, edge[pair], direct[row], straight[row])
             is_shadow = np.sum(rim.lit[edge[pair]] * direct[row], axis=1) <= 0
             is_far = (k * longer > deepest) & (weight[row] > 0)
@@ -102,6 +97,33 @@ def faint_waves(
             found.append(FaintWaves(len(size), facets.cell[row], level, number, wave))
     columns = ([getattr(x, name) for x in found] for name in ("cell", "level", "length", "echo"))
     return FaintWaves(len(size), *(np.concatenate(column) for column in columns))
+
+
+def _rims(obstacles: Screens, body: int, center: Array) -> Iterator[Outline]:
+    """Of what stands near the ways to cells, at vectors (n, 3) from the radar, the outer rims; of
+    all else the whole outlines, many together: rays for all of a city take seconds.
+    """
+    source = obstacles.prepared.images[0].place
+    others = np.flatnonzero(obstacles.body != body)
+    beside = are_beside(obstacles, others, center, np.zeros(len(center)))
+    is_near = np.atleast_1d(np.any(beside, axis=0))
+    reach_m = float(np.mean(np.linalg.norm(center, axis=1)))
+    for item in others[is_near].tolist():
+        yield obstacles.rim(item, source, reach_m, body)
+    far = others[~is_near]
+    for some in np.split(far, range(_TOGETHER, len(far), _TOGETHER)):
+        outlines = [obstacles.outline(item, source) for item in some.tolist()]
+        if outlines:
+            columns = ([getattr(one, f.name) for one in outlines] for f in fields(Outline))
+            yield Outline(*(np.concatenate(column) for column in columns))
+
+
+def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:
+    """Pairs of a row of ``cell`` and a facet in that cell, of facets sorted by cells of sizes."""
+    count = size[cell]
+    pair = np.repeat(np.arange(len(cell)), count)
+    first = np.cumsum(size)[cell] - np.cumsum(count)
+    return pair, np.arange(len(pair)) + first[pair]
 
 
 def _met(rim: Outline, direct: Array) -> tuple[Indices, Indices]:
