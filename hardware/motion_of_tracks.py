@@ -2,15 +2,13 @@
 camera's own measurements must support (`hardware.reconstruction.motion.sightings`).
 """
 
-from bisect import insort
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.formatting import counted
 from hardware.radar.tracking import TargetTrack
 from hardware.reconstruction.motion.approach import PlaneMotion
 from hardware.reconstruction.motion.model import Motion
@@ -24,9 +22,8 @@ from hardware.reconstruction.motion.timing import middle_ns
 from hardware.recording.mounting import Mounting
 from hardware.recording.reading import Received
 from hardware.records import QuaternionPose, SpiRecord
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
+from hardware.rig_poses import KEPT_NS, RigPoses, RigState
+from hardware.words_of_motion import Proposal, told
 
 Array = NDArray[np.float64]
 
@@ -40,10 +37,6 @@ _BACKGROUNDS_M, _NEAREST_M = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0), 0.5
 _MOST_ERROR_M, _MOST_ERROR_M_PER_S = 1.0, 2.0
 #: What an object moves by in half a frame, at least, cells.
 _LEAST_CELLS = 0.25
-#: Motion of the rig that counts as one.
-_LEAST_M_PER_S, _LEAST_RAD_PER_S = 1e-3, 1e-4
-#: Poses and tracks are kept for so long before the latest.
-_KEPT_NS = 60 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,20 +62,20 @@ class MotionOfTracks:
     """
 
     mounting: Mounting
-    _poses: list[tuple[int, QuaternionPose]] = field(default_factory=list)
+    _poses: RigPoses = field(default_factory=RigPoses)
     _tracks: dict[str, list[tuple[int, tuple[TargetTrack, ...]]]] = field(default_factory=dict)
 
     def burst(
         self, sensor: str, stamp_ns: int, pose: QuaternionPose, tracks: Sequence[TargetTrack]
     ) -> None:
         """Take in a radar's burst: antenna's pose and confirmed tracks, at a time of the host."""
-        mounted = self._mounted(sensor)
+        mounted = self.mounting.pose(sensor)
         turn = pose.rotation * mounted.rotation.inv()
         place = pose.position_m - turn.apply(mounted.position_m)
-        self._pose(stamp_ns, QuaternionPose.of(place, turn))
+        self._poses.add(sensor, stamp_ns, QuaternionPose.of(place, turn))
         history = self._tracks.setdefault(sensor, [])
         history.append((stamp_ns, tuple(tracks)))
-        history[:] = [one for one in history if abs(stamp_ns - one[0]) < _KEPT_NS]
+        history[:] = [one for one in history if abs(stamp_ns - one[0]) < KEPT_NS]
 
     def supported(self, received: Received, sensor: str) -> tuple[SupportedMotion, str]:
         """The motion within a camera's frame that its measurements support, and what it is of.
@@ -91,50 +84,18 @@ class MotionOfTracks:
         """
         record = received.record
         assert isinstance(record, SpiRecord)
-        mounted, angles = self._mounted(sensor), self._field(sensor)
+        mounted, angles = self.mounting.pose(sensor), self.mounting.field_rad(sensor)
         begin, middle, end = _times_ns(received, record)
-        self._pose(begin, record.pose)
-        half_s = 5e-10 * (end - begin)
-        rig, velocity, turn = self._rig(begin, middle, end)
-        view = _View(
-            QuaternionPose.of(
-                rig.position_m + rig.rotation.apply(mounted.position_m),
-                rig.rotation * mounted.rotation,
-            ),
-            mounted.rotation.inv().apply(velocity + np.cross(turn, mounted.position_m)),
-            mounted.rotation.inv().apply(turn),
-            half_s,
-        )
+        self._poses.add(sensor, begin, record.pose)
+        rig = self._poses.within(begin, middle, end)
+        view = _view(rig, mounted, 5e-10 * (end - begin))
         tracks, untold = self._tracks_at(begin, middle, end)
         shape = record.patterns.rows, record.patterns.columns
         objects = _sightings(tracks, view, angles, shape)
-        moves = np.linalg.norm(velocity) > _LEAST_M_PER_S or np.linalg.norm(turn) > _LEAST_RAD_PER_S
-        backgrounds = _backgrounds(view, angles) if moves else ()
+        backgrounds = _backgrounds(view, angles) if rig.moves else ()
         found = motion_by_sightings(record, backgrounds, objects)
-        return found, _told(found, len(tracks), untold, min(len(objects), MOST_OBJECTS))
-
-    def _pose(self, stamp_ns: int, pose: QuaternionPose) -> None:
-        insort(self._poses, (stamp_ns, pose))
-        self._poses = [one for one in self._poses if abs(stamp_ns - one[0]) < _KEPT_NS]
-
-    def _rig(self, begin: int, middle: int, end: int) -> tuple[QuaternionPose, Array, Array]:
-        """Pose in the world at the middle, velocity and turn rate in the rig's frame; as at rest
-        where but one pose is known.
-        """
-        span = end - begin
-        near = [one for one in self._poses if begin - span <= one[0] <= end + span]
-        within = [one for one in near if begin <= one[0] <= end]
-        used = within if len(within) > 1 else near
-        (first_ns, first), (last_ns, last) = used[0], used[-1]
-        if last_ns == first_ns:
-            return last, np.zeros(3), np.zeros(3)
-        elapsed_s = 1e-9 * (last_ns - first_ns)
-        velocity = (last.position_m - first.position_m) / elapsed_s
-        turn = (first.rotation.inv() * last.rotation).as_rotvec() / elapsed_s
-        since_s = 1e-9 * (middle - first_ns)
-        rotation = first.rotation * _turned(since_s * turn)
-        pose = QuaternionPose.of(first.position_m + since_s * velocity, rotation)
-        return pose, np.asarray(rotation.inv().apply(velocity)), turn
+        proposal = Proposal(rig, len(tracks), min(len(objects), MOST_OBJECTS), untold)
+        return found, told(found, proposal, view.velocity_m_per_s)
 
     def _tracks_at(self, begin: int, middle: int, end: int) -> tuple[list[TargetTrack], str]:
         """Tracks with a place as they are at the middle of the frame; why there are none."""
@@ -153,27 +114,20 @@ class MotionOfTracks:
         if not any(begin <= one[0] <= end for each in self._tracks.values() for one in each):
             return [], "no burst of a radar in the frame's time"
         if seen and not placed:
-            return [], f"none of {seen} tracks has an azimuth: one antenna tells distances alone"
+            alone = "has an azimuth: one antenna tells distances alone"
+            return [], f"of {counted(seen, 'track')} none {alone}"
         return found, "" if seen else "no tracks in the frame's time"
 
-    def _mounted(self, sensor: str) -> QuaternionPose:
-        frame = sensor.strip("/").split("/")[0]
-        if frame not in self.mounting.poses:
-            known = ", ".join(sorted(self.mounting.poses)) or "none"
-            raise InputError(
-                f"--motion radar: the pose of {frame!r} on the rig is unknown (known: {known}): "
-                "expected it in the log's /tf_static, or in the file of --rig"
-            )
-        return self.mounting.poses[frame]
 
-    def _field(self, sensor: str) -> tuple[float, float]:
-        frame = sensor.strip("/").split("/")[0]
-        if frame not in self.mounting.fields_rad:
-            raise InputError(
-                f"--motion radar: the field of {frame!r} is unknown: expected a "
-                "sensor_msgs/CameraInfo in the log, or [field_deg] in the file of --rig"
-            )
-        return self.mounting.fields_rad[frame]
+def _view(rig: RigState, mounted: QuaternionPose, half_s: float) -> _View:
+    """Of a camera that is mounted on the rig like this."""
+    to_camera = mounted.rotation.inv()
+    moving = rig.velocity_m_per_s + np.cross(rig.turn_rad_per_s, mounted.position_m)
+    pose = QuaternionPose.of(
+        rig.pose.position_m + rig.pose.rotation.apply(mounted.position_m),
+        rig.pose.rotation * mounted.rotation,
+    )
+    return _View(pose, to_camera.apply(moving), to_camera.apply(rig.turn_rad_per_s), half_s)
 
 
 def _times_ns(received: Received, record: SpiRecord) -> tuple[int, int, int]:
@@ -183,12 +137,6 @@ def _times_ns(received: Received, record: SpiRecord) -> tuple[int, int, int]:
     if received.clock is None:  # it came when it was complete
         return tuple(received.host_ns + one - device[2] for one in device)  # type: ignore[return-value]
     return tuple(received.clock.host_ns(one) for one in device)  # type: ignore[return-value]
-
-
-def _turned(rotation_vector: Array) -> "Rotation":
-    from scipy.spatial.transform import Rotation  # takes 0.1 s to import
-
-    return Rotation.from_rotvec(rotation_vector)
 
 
 def _back(track: TargetTrack, elapsed_s: float) -> TargetTrack:
@@ -283,12 +231,3 @@ def _backgrounds(view: _View, field_rad: tuple[float, float]) -> tuple[Motion, .
 def _three(vector: Array) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in vector)
     return x, y, z
-
-
-def _told(found: SupportedMotion, tracks: int, untold: str, objects: int) -> str:
-    """In a few words."""
-    if found.motion is None:
-        because = untold or "the measurements are no likelier by any"
-        return f"motion: none taken out: {because}"
-    told = f"{found.objects} of {objects} objects of {tracks} tracks"
-    return f"motion: by rig and radar, {told}" + (f"; {untold}" if untold else "")

@@ -16,6 +16,7 @@ from hardware.reconstruction import Method, Reconstruction, reconstruct
 from hardware.reconstruction.motion import Motion, Search
 from hardware.reconstruction.registry import Solve
 from hardware.recording import Log, Received, ros
+from hardware.recording.mounting import sensor_of
 from hardware.records import RadarRecord, SpiRecord
 from hardware.sliding_images import SlidingImages
 from hardware.tracks import RadarTracks
@@ -56,7 +57,7 @@ def process(
 
     Raises InputError for a calibration of another device.
     """
-    sensor = received.topic.rsplit("/", 1)[0] or "/sensor"
+    sensor = sensor_of(received.topic)
     if isinstance(received.record, SpiRecord):
         if sliding:
             return _images(received, received.record, log, sensor, sliding, camera)
@@ -208,8 +209,10 @@ def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
 
 def stamp_ns(received: Received, burst: int = 0) -> int:
     """Time of a record, or of a radar's burst, on the host's clock: the device's where its clock
-    is known.
+    is known; else when it came, bursts of one record as long before its last as they were.
     """
     times = received.record.device_time_ns
-    first = int(times[burst].reshape(-1)[0])
-    return received.clock.host_ns(first) if received.clock else received.host_ns
+    first, last = (int(times[k].reshape(-1)[0]) for k in (burst, -1))
+    if received.clock:
+        return received.clock.host_ns(first)
+    return received.host_ns - (last - first if isinstance(received.record, RadarRecord) else 0)

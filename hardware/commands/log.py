@@ -203,7 +203,9 @@ def process(
     n, failed, ending = 0, False, Ending()
     start_ns: int | None = None
     results: list[dict[str, str]] = []
-    with asked_to_end() as over, Log(target) as log:
+    # From a log, chunks are cut by their size alone: the same log gives the same bytes.
+    flush_s = math.inf if _is_log(source) else 0.5
+    with asked_to_end() as over, Log(target, flush_s=flush_s) as log:
         incoming = _records(source, settings, radar_setup, over, ending)
         for received in itertools.islice(incoming, records or None):
             if over.is_set():
@@ -426,28 +428,47 @@ def _records(
     from hardware.recording import read_records
     from hardware.sources import open_source
 
-    if ":" not in source and source.endswith(".mcap"):
+    if _is_log(source):
         return read_records(source, ending)
     return open_source(source, _settings(settings), _setup(radar_setup), over=over, ending=ending)
 
 
+def _is_log(source: str) -> bool:
+    return ":" not in source and source.endswith(".mcap")
+
+
 def _motion_of_tracks(source: str, rig: Path | None) -> "MotionOfTracks":
-    """For ``--motion radar``. Raises InputError for a log without records of both sensors."""
+    """For ``--motion radar``. Raises InputError for a log without records of both sensors, and
+    where it is unknown how these are mounted.
+    """
     from hardware.motion_of_tracks import MotionOfTracks
-    from hardware.recording.mounting import Mounting, logged_mounting, read_mounting
+    from hardware.recording.mounting import (
+        RADAR,
+        SPI,
+        Mounting,
+        logged_mounting,
+        read_mounting,
+    )
+    from hardware.recording.reading import Ending
 
     logged, path = Mounting(), source.removeprefix("replay:").partition("?")[0]
+    given, ending = read_mounting(rig) if rig else Mounting(), Ending()
     if path.endswith(".mcap"):
-        logged = logged_mounting(path)
-        for kind in ("SpiRecord", "RadarRecord"):
-            if f"ugv_msgs/msg/{kind}" not in logged.kinds:
-                raise InputError(f"{path}: --motion radar: no {kind} in it, expected both sensors")
-    if rig:
-        given = read_mounting(rig)
-        logged = Mounting(
-            {**logged.poses, **given.poses}, {**logged.fields_rad, **given.fields_rad}
-        )
-    return MotionOfTracks(logged)
+        logged = logged_mounting(path, ending)
+        for kind in (SPI, RADAR):
+            if kind not in logged.records.values():
+                name = kind.rpartition("/")[2]
+                raise InputError(
+                    f"{path}: --motion radar: no {name} in it{_because(ending)}, expected both "
+                    "sensors"
+                )
+    mounting = Mounting(
+        {**logged.poses, **given.poses},
+        {**logged.fields_rad, **given.fields_rad},
+        logged.records,
+    )
+    mounting.check()
+    return MotionOfTracks(mounting)
 
 
 def _because(ending: "Ending") -> str:

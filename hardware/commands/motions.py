@@ -10,7 +10,8 @@ if TYPE_CHECKING:
 
 _EXPECTED = (
     "expected `estimate`, DOWN,RIGHT in cells/s, a CSV file of time_s, down_cells, right_cells, a "
-    "TOML file of a background and objects, or a NumPy file (rows, columns, 2) or (3, 3)"
+    "TOML file of a background and objects, a NumPy file (rows, columns, 2) or (3, 3), or, for "
+    "`ugv process` of a log with both sensors, `radar`"
 )
 
 

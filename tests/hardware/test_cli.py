@@ -186,7 +186,7 @@ def test_motion_is_a_velocity_or_a_file(moved: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "told"),
     [
-        ("nan,1", None, "down_cells_per_s: holds what is not a number"),
+        ("nan,1", None, "down_cells_per_s: nan, expected finite numbers"),
         ("forward", None, "--motion: 'forward': expected"),
         ("gone.csv", None, "gone.csv: no such file"),
         ("a.csv", "t,x\n", "a.csv: line 1: ['t', 'x'], expected"),

@@ -15,7 +15,7 @@ from hardware.motion_of_tracks import MotionOfTracks
 from hardware.patterns import PatternSet, hadamard_rows
 from hardware.radar.tracking import TargetTrack
 from hardware.recording import Received
-from hardware.recording.mounting import Mounting, read_mounting
+from hardware.recording.mounting import RADAR, SPI, Mounting, read_mounting
 from hardware.records import QuaternionPose, SpiRecord
 
 N, FIELD = 32, (np.deg2rad(24.0), np.deg2rad(20.0))
@@ -207,13 +207,27 @@ def test_what_rests_stays_as_it_is(name: str) -> None:
     """Whatever the radar says."""
     found, told = followed(World(), frame(World()), FALSE[name])
     assert found.motion is None, told
-    assert told.startswith("motion: none taken out")
+    assert told.startswith("motion: none ")
+
+
+def test_sensors_that_know_no_pose_are_at_rest() -> None:
+    """Records of devices hold the pose of the origin, of both: the radar's place on the rig must
+    not become a motion of the rig, which hides the board's.
+    """
+    record = replace(frame(World()), pose=QuaternionPose())
+    motion = MotionOfTracks(MOUNTING)
+    for t in np.arange(-0.45, 0.4, PERIOD_S):
+        motion.burst("/radar", round(1e9 * (10 + t)), QuaternionPose(), World().tracks(float(t)))
+    found, told = motion.supported(Received("/spi/record", record, round(10.5e9), ON_TIME), "/spi")
+    assert not found.tried
+    assert "the rig is at rest, and of 1 track none moves in the image" in told
 
 
 def test_patterns_from_coarse_to_fine_tell_nothing() -> None:
     world = World(board_m_per_s=1.5)
-    found, _ = followed(world, frame(world, order="sequency"))
+    found, told = followed(world, frame(world, order="sequency"))
     assert found.motion is None
+    assert told == "motion: none looked for: this record hardly tells any"
     assert "from coarse to fine" in found.warnings[0]
 
 
@@ -241,8 +255,9 @@ def test_no_burst_within_the_frame_is_told() -> None:
 @pytest.mark.parametrize(
     ("mounting", "expected"),
     [
-        (Mounting({}, {"spi": FIELD}), "pose of 'spi' on the rig is unknown"),
-        (Mounting(MOUNTING.poses), "field of 'spi' is unknown"),
+        (Mounting({}, {"spi": FIELD}), "pose on the rig of '/spi' is unknown .known: none"),
+        (Mounting(MOUNTING.poses), "field of '/spi' is unknown .known: none"),
+        (Mounting(MOUNTING.poses, {"cam": FIELD}), "unknown .known: cam.: expected it by the name"),
     ],
 )
 def test_what_is_not_calibrated_is_told(mounting: Mounting, expected: str) -> None:
@@ -262,7 +277,15 @@ def test_mounting_from_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("spi = [0, 0, 0]", "rig.toml: spi: "),
+        ("spi = [0, 0, 0]", "rig.toml: spi: [0, 0, 0], expected 7 finite numbers: x, y, z, qw"),
+        ('spi = "front"', "rig.toml: spi: 'front', expected 7 finite numbers"),
+        ('spi = ["0", 0, 0, 1, 0, 0, 0]', "expected 7 finite numbers"),
+        ("spi = [0, 0, 0, true, 0, 0, 0]", "expected 7 finite numbers"),
+        ("spi = [nan, 0, 0, 1, 0, 0, 0]", "rig.toml: spi: [nan, 0"),
+        ("[field_dg]\nspi = [20, 20]", "rig.toml: field_dg: {'spi': [20, 20]}, expected 7 finite"),
+        ("[field_deg]\nspi = [20]", "field_deg: spi: [20], expected 2 finite numbers: down, along"),
+        ("[field_deg]\nspi = [20, 20, 20]", "field_deg: spi: [20, 20, 20], expected 2 finite"),
+        ("field_deg = [20, 20]", "field_deg: [20, 20], expected a table of NAME = [down, along]"),
         ("spi = [0, 0, 0, 0, 0, 0, 0]", "a quaternion of zeros"),
         ("spi = 3", "rig.toml: spi: "),
         ("[field_deg]\nspi = [20, 200]", "expected two angles between 0 and 180"),
@@ -276,3 +299,21 @@ def test_wrong_mountings_are_told(tmp_path: Path, text: str, expected: str) -> N
     with pytest.raises(InputError) as raised:
         read_mounting(path)
     assert expected in str(raised.value)
+
+
+@pytest.mark.parametrize("further", ["/source2", "/source3/front"])
+def test_a_further_source_is_known_by_its_own_name_or_by_its_sensors(further: str) -> None:
+    """As `ugv capture CAMERA RADAR` names topics; the file names the sensors."""
+    topics = {"/spi/record": SPI, f"{further}/radar/record": RADAR}
+    found = Mounting(MOUNTING.poses, MOUNTING.fields_rad, topics)
+    found.check()
+    assert found.pose(f"{further}/radar") == MOUNTING.poses["radar"]
+    own = Mounting({**MOUNTING.poses, further.split("/")[1]: QuaternionPose(9.0)})
+    assert own.pose(f"{further}/radar") == QuaternionPose(9.0)
+
+
+def test_two_radars_are_not_taken_for_one() -> None:
+    topics = {"/radar/record": RADAR, "/source2/radar/record": RADAR}
+    found = Mounting(MOUNTING.poses, MOUNTING.fields_rad, topics)
+    with pytest.raises(InputError, match=r"of '/source2/radar' is unknown \(known: radar, spi"):
+        found.check()

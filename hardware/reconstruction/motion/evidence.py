@@ -22,8 +22,9 @@ from hardware.reconstruction.prior import cell_variance, walsh_variance
 
 Array = NDArray[np.float64]
 
-#: Cells along a side of the coarse image, at most, and measurements that are taken, at most.
-_COARSE, _ROWS = 32, 448
+#: Cells along a side of the coarse image, at most, and measurements that are taken, at most: to
+#: search, and all.
+_COARSE, SEARCHED_ROWS, ALL_ROWS = 32, 448, 1024
 #: Noise of a cell over the image's spread that the likelihood is not trusted below: edges and what
 #: lies between cells are not as the prior has it.
 _LEAST_NOISE = 0.1
@@ -44,7 +45,13 @@ class Evidence:
     noise: Array
 
     @classmethod
-    def of(cls, patterns: PatternSet, timed: TimedRows, noise_variance: Array) -> "Evidence":
+    def of(
+        cls,
+        patterns: PatternSet,
+        timed: TimedRows,
+        noise_variance: Array,
+        most_rows: int = SEARCHED_ROWS,
+    ) -> "Evidence":
         """Of the measurements that a coarse image tells, those of largest prior variance."""
         rows, columns = np.array([patterns.rows, patterns.columns])
         down, along = divmod(timed.rows, patterns.columns)
@@ -52,7 +59,7 @@ class Evidence:
         told = ((down % part_down == 0) & (along % part_along == 0)).all(axis=0)
         variance = walsh_variance(patterns.rows, patterns.columns)[timed.rows[0]]
         first = np.argsort(np.where(told, -variance, np.inf), kind="stable")
-        some = np.sort(first[: min(_ROWS, int(np.count_nonzero(told)))])
+        some = np.sort(first[: min(most_rows, int(np.count_nonzero(told)))])
         shape = (int(rows) // part_down, int(columns) // part_along)
         coarse = down[:, some] // part_down * shape[1] + along[:, some] // part_along
         values = timed.values[some] / (part_down * part_along)

@@ -230,7 +230,7 @@ def all_finite(value: ArrayLike) -> bool:
 
 def _check(name: str, value: ArrayLike) -> None:
     if not all_finite(value):
-        raise InputError(f"{name}: holds what is not a number")
+        raise InputError(f"{name}: {value!r:.60}, expected finite numbers")
 
 
 #: Steps, and where they end.

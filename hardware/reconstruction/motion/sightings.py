@@ -15,7 +15,7 @@ from hardware.patterns import PatternSet
 from hardware.reconstruction.measurements import measurements
 from hardware.reconstruction.motion.approach import PlaneMotion
 from hardware.reconstruction.motion.compensated import hardly_told
-from hardware.reconstruction.motion.evidence import REST, Evidence
+from hardware.reconstruction.motion.evidence import ALL_ROWS, REST, Evidence
 from hardware.reconstruction.motion.layers import Layers, MovingBox
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.motion.timing import exposure_times_s, middle_ns, timed_rows
@@ -101,14 +101,16 @@ def _reversed_plane(motion: PlaneMotion) -> PlaneMotion:
 @dataclass(frozen=True)
 class SupportedMotion:
     """The motion that measurements support, None: rest; its gain of log-likelihood over rest and
-    over its opposite, how many of the objects proposed are in it, and why the measurements may not
-    tell any.
+    over its opposite, and what was asked of it; how many of the objects proposed are in it;
+    whether anything was tried, and why the measurements may not tell any motion.
     """
 
     motion: Motion | None
     evidence: float
     objects: int
     warnings: tuple[str, ...] = ()
+    asked: float = EVIDENCE
+    tried: bool = True
 
 
 def supported_motion(
@@ -116,25 +118,32 @@ def supported_motion(
     cells: tuple[int, int],
     backgrounds: tuple[Motion, ...],
     sightings: tuple[Sighting, ...],
+    whole: Evidence | None = None,
 ) -> SupportedMotion:
     """The likeliest motion of a background and of objects before it, if it is likelier than rest,
     and than the opposite motion.
 
     ``cells`` are the image's rows and columns, ``backgrounds`` what the background may do beside
-    resting, and ``sightings`` the objects proposed, the nearest first.
+    resting, and ``sightings`` the objects proposed, the nearest first. What is found by
+    ``evidence`` must not be refuted by ``whole``, of more measurements: a box that is too large
+    moves detail of the background, of which the coarsest of them tell little. Where it is less
+    likely than rest by these, edges are fitted to all of them.
     """
+    if not (backgrounds or sightings):
+        return SupportedMotion(None, 0.0, 0, tried=False)
     part = cells[0] / evidence.shape[0], cells[1] / evidence.shape[1]
-    search, rest = _Search(evidence, part), evidence.cost(REST)
-    objects = sightings[:MOST_OBJECTS]
+    search, objects = _Search(evidence, part), sightings[:MOST_OBJECTS]
     behind = min(backgrounds, key=lambda one: search.cost(one, objects), default=REST)
     objects = search.fitted(behind, objects)
-    cost = search.cost(behind, objects)
-    back = search.cost(_reversed(behind), tuple(one.reversed for one in objects))
-    gain = float(min(rest, back) - cost)
-    if gain < EVIDENCE + _EACH * len(objects):
-        return SupportedMotion(None, gain, 0)
-    boxes = tuple(one.box() for one in objects)
-    return SupportedMotion(Layers(behind, boxes) if boxes else behind, gain, len(boxes))
+    found = search.believed(behind, objects)
+    if found.motion is None or whole is None:
+        return found
+    search = _Search(whole, part)
+    gain = search.gain(behind, objects)
+    if gain > 0:
+        return found
+    again = search.believed(behind, search.fitted(behind, objects))
+    return found if again.motion is None and gain > -EVIDENCE else again
 
 
 @dataclass(frozen=True)
@@ -147,6 +156,20 @@ class _Search:
         boxes = tuple(one.box(self.part) for one in objects)
         prior = sum(one.offset_errors**2 / 2 + _EACH for one in objects)
         return self.evidence.cost(Layers(behind, boxes) if boxes else behind) + prior
+
+    def gain(self, behind: Motion, objects: tuple[Sighting, ...]) -> float:
+        """Of log-likelihood over rest and over the opposite motion."""
+        back = self.cost(_reversed(behind), tuple(one.reversed for one in objects))
+        return float(min(self.evidence.cost(REST), back) - self.cost(behind, objects))
+
+    def believed(self, behind: Motion, objects: tuple[Sighting, ...]) -> SupportedMotion:
+        """A motion, if its gain is what is asked of it."""
+        gain, asked = self.gain(behind, objects), EVIDENCE + _EACH * len(objects)
+        if gain < asked:
+            return SupportedMotion(None, gain, 0, asked=asked)
+        boxes = tuple(one.box() for one in objects)
+        motion = Layers(behind, boxes) if boxes else behind
+        return SupportedMotion(motion, gain, len(boxes), asked=asked)
 
     def fitted(self, behind: Motion, objects: tuple[Sighting, ...]) -> tuple[Sighting, ...]:
         """Objects with edges and velocities that fit better, without those that explain nothing."""
@@ -181,7 +204,10 @@ def motion_by_sightings(
     time_s = exposure_times_s(received, middle_ns(record))
     timed = timed_rows(patterns, received.electrons, time_s, pairs_apart=False)
     if told := tuple(hardly_told(patterns, timed)):
-        return SupportedMotion(None, 0.0, 0, told)
+        return SupportedMotion(None, 0.0, 0, told, tried=False)
     noise = measurements(received).noise_variance
     evidence = Evidence.of(patterns, timed, noise)
-    return supported_motion(evidence, (patterns.rows, patterns.columns), backgrounds, sightings)
+    whole = Evidence.of(patterns, timed, noise, ALL_ROWS)
+    more = whole if whole.timed.count > evidence.timed.count else None
+    cells = patterns.rows, patterns.columns
+    return supported_motion(evidence, cells, backgrounds, sightings, more)
