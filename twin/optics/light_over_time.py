@@ -53,9 +53,9 @@ class Part:
     falls
         Power of the number of paths with which its variance falls.
     is_smooth
-        It has no edges and rare bright paths: how many paths a cell has follows from the cells
-        around it alone, since more of them where its own first ones happened to be bright would
-        make it darker.
+        It has no edges and rare bright paths: the error of a cell follows from the cells around it
+        alone. How many paths it has does so of all light: more of them where its own first ones
+        happened to be bright would make it darker.
     step
         Of how many first instants one is enough for it.
     path_weight, motion_weight
@@ -379,7 +379,7 @@ class _Drawing:
         for up in (False, True, None):
             light[:, instant, cells] = (sums / samples[:, None]).T
             mean = light.mean(axis=0)
-            found = self._variance(mean, cells, instant, samples, sums)
+            found, of_others = self._variance(mean, cells, instant, samples, sums)
             if isinstance(limit, int) or up is None:
                 break
             weight = 1 / np.maximum(limit, 1e-150) ** 2 / wanted.shape[1]
@@ -390,7 +390,7 @@ class _Drawing:
                     # What the other cells leave of what is permitted in all.
                     others = (~wanted * weight * around).sum(axis=1)
                     allowed = np.maximum(allowed, effort.grown(mean) - others)
-            further = self._wanted(found * weight[cells], instant, samples, allowed, up)
+            further = self._wanted(of_others * weight[cells], instant, samples, allowed, up)
             more = np.flatnonzero(further > samples)
             if not len(more):
                 break
@@ -421,9 +421,9 @@ class _Drawing:
 
     def _variance(
         self, light: Array, cells: Ints, instant: Ints, samples: Ints, sums: Array
-    ) -> Array:
+    ) -> tuple[Array, Array]:
         """Of the mean of each cell, from the scatter of its sets and of those around it; with what
-        all paths may have missed of the contrast to the cells around.
+        all paths may have missed of the contrast to the cells around. And by those around alone.
         """
         shape = (len(light), self.grid.rows, self.grid.columns)
         means = sums / samples[:, None]
@@ -438,16 +438,17 @@ class _Drawing:
             for x in (total, count)
         )
         total, count = total[instant, cells], count[instant, cells]
+        others = np.maximum(total - own * per_path, 0) / np.maximum(count - 1, 1)
+        others = np.where(count > 1.5, others / per_path, own)
         if self._part.is_smooth:
-            others = np.maximum(total - own * per_path, 0) / np.maximum(count - 1, 1)
-            return np.asarray(np.where(count > 1.5, others / per_path, own))
+            return others, others
         around = np.maximum(total / count, 0) / per_path
         image = light.reshape(shape)
         contrast = maximum_filter(image, (1, 3, 3)) - minimum_filter(
             image, (1, 3, 3), mode="constant"
         )
         missed = contrast.reshape(light.shape)[instant, cells] / (_SETS * samples)
-        return np.asarray(_OWN * own + (1 - _OWN) * around + missed**2 / 3)
+        return _OWN * own + (1 - _OWN) * around + missed**2 / 3, others + missed**2 / 3
 
     def _wanted(
         self, weighted: Array, instant: Ints, samples: Ints, allowed: Array, up: bool
