@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 #: Standard deviations within which 95 of 100 draws of a normal distribution lie.
 _WITHIN_95 = 1.96
 _DEPTHS, _SAMPLES = (1, 2, 4, 8, 16), tuple(4**power for power in range(7))
-#: Per pixel of a render of the truth, where time is short and where it is not: of few paths all
-#: may miss a tiny facet, so that their scatter tells nothing; how small the truth's error is to be
-#: over that stated, where time allows; and renders whose scatter tells it.
-_FEW_PATHS, _PATHS, _SMALL, _LEAST_RENDERS = 4, 64, 0.2, 8
+#: Per pixel of a render of the truth: of few paths all may miss a tiny facet, so that their scatter
+#: tells nothing; how small the truth's error is to be over that stated, where time allows; and
+#: renders whose scatter tells it.
+_PATHS, _SMALL, _LEAST_RENDERS = 64, 0.2, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,19 +126,15 @@ def _truth(case: CameraCase, rendered: RenderedLight, limit_s: float) -> _Truth:
     permitted = PermittedError(case.chain, rendered, Fidelity())
     noise = permitted.noise(rendered.light.cells).ravel()
     stated = float(np.sqrt(np.mean((_WITHIN_95 * rendered.light.error.ravel() / noise) ** 2)))
-    paths, found, begin = _FEW_PATHS, list[Array](), time.process_time()
+    found, begin = list[Array](), time.process_time()
     while True:
-        found.append(renderer.render(shape, paths, int(seeds.integers(2**31))).ravel())
+        found.append(renderer.render(shape, _PATHS, int(seeds.integers(2**31))).ravel())
         if len(found) < _LEAST_RENDERS:
             continue
         error = np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
         truth = _Truth(np.mean(found, axis=0), error, noise)
-        spent = time.process_time() - begin
-        if paths == _FEW_PATHS and _PATHS / paths * spent < limit_s:
-            paths = _PATHS
-            found.clear()
-            continue
-        if spent > limit_s or truth.over_noise(truth.error) <= _SMALL * stated:
+        is_exact = truth.over_noise(truth.error) <= _SMALL * stated
+        if is_exact or time.process_time() - begin > limit_s:
             return truth
 
 
