@@ -9,7 +9,12 @@ from hardware.files import one_line, said
 
 
 def outcome(app: Any, program: str, expected: type[Exception]) -> int | str | None:
-    """Run the command of ``sys.argv``: its exit code, or what an expected error says."""
+    """Run the command of ``sys.argv``: its exit code, or what an expected error says.
+
+    NumPy is not yet loaded, and BLAS gets one thread unless the user says otherwise: matrices are
+    small, and threads that wait for each other took four times the CPU time on a busy machine.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code: int | None = app(sys.argv[1:] or ["--help"], standalone_mode=False)
         sys.stdout.flush()

@@ -13,6 +13,7 @@ from moving_scenes import AnalyticScene, moving_record
 from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
+from hardware.commands.entry import outcome
 from hardware.reconstruction import METHODS, Mixing
 from hardware.records import QuaternionPose
 
@@ -207,3 +208,15 @@ def test_wrong_motion_is_told(
     assert done.returncode == 2
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("told", "threads"), [(None, "1"), ("2", "2")])
+def test_blas_has_one_thread_unless_told(
+    monkeypatch: pytest.MonkeyPatch, told: str | None, threads: str
+) -> None:
+    """On a busy machine two that wait for each other took four times the CPU time."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", told or "")
+    if told is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    assert outcome(lambda *_, **__: 0, "ugv", ValueError) == 0
+    assert os.environ["OPENBLAS_NUM_THREADS"] == threads
