@@ -74,8 +74,9 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
 
 def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(study) -> None:
     """The quietest sensor, to whose noise the light is rendered, sees no sun. Sun and noise of
-    those that share its light are all the same those of many paths, within their intervals. 6 % of
-    the yard's sun is indirect.
+    those that share its light are all the same those of many paths, within 1.5 times their
+    intervals (of one light that all share, 2.9 standard errors: false alarm 4e-3). 6 % of the
+    yard's sun is indirect.
     """
     plan = load_study(study(SENSORS, HEAD))
     inputs, fine = inputs_of(plan), Fidelity(samples=1024, max_depth=12)
@@ -88,7 +89,7 @@ def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(stu
             (stated.background_e, true.background_e),
             (stated.noise_e, true.noise_e),
         ):
-            assert abs(one.value - other.value) <= one.half_width + other.half_width
+            assert abs(one.value - other.value) <= 1.5 * (one.half_width + other.half_width)
 
 
 def test_bits_do_not_depend_on_which_point_comes_first(study) -> None:

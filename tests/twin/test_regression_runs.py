@@ -183,15 +183,15 @@ def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:
 
 
 def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
-    """A millimetre too far, the farthest target dropped, a ghost: each in the metric that is its.
+    """Ranges 5 mm too long, the farthest target dropped, a ghost: each in the metric that is its.
 
-    Targets are points: bodies have several echoes, among which a millimetre is nothing.
+    Targets are points: bodies have several echoes, among which millimetres are nothing.
     """
     scene, radar = load_scene("yard"), load_radar(RADAR)
     capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
 
     def too_far(record):
-        return [replace(d, range_m=d.range_m + 1e-3) for d in vehicle_detector(record)]
+        return [replace(d, range_m=d.range_m + 5e-3) for d in vehicle_detector(record)]
 
     def forgetful(record):
         return [d for d in vehicle_detector(record) if d.range_m < 10]
