@@ -205,7 +205,7 @@ def _strong_measurements(
     some = peaks[np.array(crowded, dtype=np.intp)]
     with_window = _measurements_at(channel, waveform, window, some, noise_w[1])
     for i, echo in zip(crowded, with_window, strict=True):
-        if not echoes[i].relative_error < echo.relative_error:
+        if not echoes[i].delay_or_rate_error < echo.delay_or_rate_error:
             echoes[i] = echo
     return echoes
 

@@ -38,7 +38,7 @@ class EchoMeasurement:
     delay_rate_alternatives: tuple[float, ...] = ()
 
     @property
-    def relative_error(self) -> float:
+    def delay_or_rate_error(self) -> float:
         """Standard error of the delay; of the rate where no delay is measured."""
         return self.delay_rate_error if np.isnan(self.delay_s) else self.delay_error_s
 
