@@ -49,7 +49,16 @@ def with_light_within(
     def limit(cells: Array) -> Array:
         return permitted.of(cells.reshape(1, -1)).reshape(system.image_shape)
 
-    found = gather_within(tracer, limit, problem.corners, problem.largest_indirect(tracer))
+    def limit_of_alike(cells: Array) -> Array:
+        return permitted.of_alike(cells.reshape(1, -1)).reshape(system.image_shape)
+
+    found = gather_within(
+        tracer,
+        limit,
+        problem.corners,
+        problem.largest_indirect(tracer),
+        permitted_alike=limit_of_alike,
+    )
     light = replace(of_bucket(found.light), left_out=found.left_out)
     return _told(
         replace(rendered, light=light),
@@ -100,8 +109,8 @@ def _equally(
         quality = replace(quality, samples=samples, indirect_samples=None)
         lit = with_light(rendered, problem, system, quality, seed, fidelity.start)
         permitted = PermittedError(chain, lit, fidelity)
-        limit = permitted.of(lit.light.cells)
-        over, indirect = _rms(lit.light.error / limit), largest * _rms(1 / limit)
+        limit, limit_of_alike = permitted.of(lit.light.cells), permitted.of_alike(lit.light.cells)
+        over, indirect = _rms(lit.light.error / limit), largest * _rms(1 / limit_of_alike)
         taken = taken and not system.optics.is_scanned
         if over <= 1 or samples >= _MOST_SAMPLES:
             break

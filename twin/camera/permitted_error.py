@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.patterns import PatternSet, fwht
 from twin.accuracy import Decision
 from twin.camera.cell_noise import cells_noise_e
 from twin.camera.chain import Chain, Powers
@@ -48,17 +49,38 @@ class PermittedError:
     fidelity: LightFidelity
 
     def of(self, cells: Array) -> Array:
-        """In the unit of the light of the cells, (n_detectors, n_cells); infinite where no light of
-        a cell passes to the detector and no cell has any.
+        """Where errors of the cells are independent, as those of finitely many paths are: in the
+        unit of the light of the cells, (n_detectors, n_cells); infinite where no light of a cell
+        passes to the detector and no cell has any.
+
+        Of fewer patterns than cells an image has less noise in a pixel, but also that part alone of
+        such errors: the root of the patterns per cell. What the patterns do not show of the light
+        the image is off by anyway, so that errors of the light that it is compared with matter less
+        beside it. The smaller of what both permit holds.
         """
+        return self._permitted(cells, self._noise_of_independent(cells))
+
+    def of_alike(self, cells: Array) -> Array:
+        """The same of errors that cells beside each other share, as those of light left out."""
+        return self._permitted(cells, self.noise(cells))
+
+    def _permitted(self, cells: Array, noise: Array) -> Array:
         share, relative = self.fidelity.light_tolerance, self.fidelity.light_tolerance_relative
         permitted = np.full(cells.shape, np.inf)
         if share is not None:
             # Of a sensor far below its noise the light must still be an image to compare with.
-            permitted = share * np.minimum(self.noise(cells), IMAGE_SHARE * _rms(cells) or np.inf)
+            permitted = share * np.minimum(noise, IMAGE_SHARE * _rms(cells) or np.inf)
         if relative is not None:
             permitted = np.minimum(permitted, relative * np.maximum(cells, cells.mean()))
         return permitted
+
+    def _noise_of_independent(self, cells: Array) -> Array:
+        """Noise with which independent errors of the cells compare."""
+        noise, patterns = self.noise(cells), self.chain.patterns
+        if not isinstance(patterns, PatternSet) or patterns.count == patterns.n_cells:
+            return noise
+        averaged = noise * math.sqrt(patterns.n_cells / patterns.count)
+        return np.minimum(averaged, np.hypot(noise, _not_shown(patterns, cells)))
 
     def noise(self, cells: Array) -> Array:
         """Noise of each pixel, in the unit of the light of the cells."""
@@ -95,10 +117,10 @@ class PermittedError:
         return min(value for value in given if value is not None)
 
     def tolerance_of(self, cells: Array) -> float:
-        """What these cells may be off by, root mean square, in `unit`."""
+        """What an image of these cells may be off by, root mean square, in `unit`."""
         unit = self.unit_of(cells)
         lit = np.isfinite(unit)
-        return _rms(self.of(cells)[lit] / unit[lit]) if lit.any() else self.tolerance
+        return _rms(self.of_alike(cells)[lit] / unit[lit]) if lit.any() else self.tolerance
 
     def unit_of(self, cells: Array) -> Array:
         """What `unit` names, of each cell, in the unit of the light of the cells."""
@@ -153,6 +175,15 @@ class PermittedError:
         ones = np.ones_like(self.rendered.light.cells)
         light = replace(self.rendered.light, cells=ones, error=ones)
         return self.chain.powers(replace(self.rendered, light=light))
+
+
+def _not_shown(patterns: PatternSet, cells: Array) -> Array:
+    """Root mean square over the cells of the part of their light that is in no pattern,
+    (n_detectors, 1); ``cells`` (n_detectors, n_cells).
+    """
+    coefficients = fwht(cells.T)
+    coefficients[patterns.indices] = 0
+    return np.asarray(np.linalg.norm(coefficients, axis=0)[:, None] / patterns.n_cells)
 
 
 def _rms(values: Array) -> float:

@@ -196,6 +196,7 @@ def gather_within(
     corners: Callable[[], tuple[Array, Array]] | None = None,
     largest_indirect: float = math.inf,
     in_the_dark: float = math.inf,
+    permitted_alike: Callable[[Array], Array] | None = None,
 ) -> LightWithin:
     """Light that each cell receives, as `gather`, with as many paths as its error needs.
 
@@ -204,21 +205,22 @@ def gather_within(
     more paths than a cell may have: `CellLight.standard_error` says what was reached. Bounces end
     by chance instead of at a largest number, so that no light is lost. ``largest_indirect``: bound
     of a cell's indirect light (`LightProblem.largest_indirect`), which is left out where that is
-    below a tenth of what is permitted. ``in_the_dark``: paths of all cells together that are enough
-    where the first ones find no light at all, at most a million.
+    below a tenth of what is permitted, or of ``permitted_alike``: of errors that cells share.
+    ``in_the_dark``: paths of all cells together that are enough where the first ones find no light
+    at all, at most a million.
 
     The standard error is from the scatter of independent sets of paths, half of it that of the
     cells around; with what all paths of a cell may miss: one path's share of the contrast to the
     cells around and, with ``corners`` as `LightProblem` has them, of the brightest facet that may
     be there; and for indirect light what is as bright as the brightest path of all, but rare.
     """
-    shape = (tracer.start.rows, tracer.start.columns)
+    shape, alike = (tracer.start.rows, tracer.start.columns), permitted_alike or permitted
     shifts = [int(n) for n in np.random.SeedSequence([tracer.seed, _DRAWS]).generate_state(3)]
     parts = [_Part(tracer, shifts[0], lambda rays: tracer.direct(rays).value, _FALLS, 1.0, 4, 3)]
     if tracer.scatters:
         scattered = lambda rays: tracer.scattered(rays).value  # noqa: E731
         parts.append(_Part(tracer, shifts[1], scattered, 1.0, 3.0, 4, 5))
-    over = _over(largest_indirect, parts, permitted, shape)
+    over = _over(largest_indirect, parts, alike, shape)
     taken = over > LEFT_OUT
     if taken:
         parts.append(_Part(tracer, shifts[2], tracer.all_indirect, 1.0, 4.0, 2, 5))
@@ -246,7 +248,8 @@ def gather_within(
             break
     indirect = parts[-1].mean if taken else np.zeros_like(light)
     if taken:
-        known = math.sqrt(float(np.square(indirect + 2 * np.sqrt(variances[-1])) @ weight))
+        limit = np.maximum(alike(light.reshape(shape)).ravel(), 1e-150)
+        known = float(np.sqrt(np.mean(((indirect + 2 * np.sqrt(variances[-1])) / limit) ** 2)))
         over = known if known > LEFT_OUT else over
     error = np.sqrt(np.sum(variances, axis=0))
     return LightWithin(

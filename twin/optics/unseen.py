@@ -25,12 +25,12 @@ def facet_light(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) 
     if emitter.pitch_m is not None:
         return np.full(grid.size, _of_elements(grid, detector, corners))
     vertices_m, reflectance = corners
-    ahead, *beside = emitter.axes @ (vertices_m - emitter.origin_m).T
+    ahead, left, up = emitter.axes @ (vertices_m - emitter.origin_m).T
     reach = emitter.tan_half_field * ahead
-    inside = np.flatnonzero((np.abs(beside) < reach).all(axis=0))
-    across, down = (((1 - x[inside] / reach[inside]) / 2) for x in beside)
+    inside = np.flatnonzero((np.abs(left) < reach) & (np.abs(up) < reach))
+    across, down = (((1 - x[inside] / reach[inside]) / 2) for x in (left, up))
     cell = (down * grid.rows).astype(int) * grid.columns + (across * grid.columns).astype(int)
-    distance2 = np.sum((vertices_m[inside] - detector.origin_m) ** 2, axis=1)
+    distance2 = _squared_norms(vertices_m[inside] - detector.origin_m)
     solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size
     facing = solid_angle * reflectance[inside] / np.pi / np.maximum(distance2, 1e-12)
     np.maximum.at(light.reshape(-1), np.minimum(cell, grid.size - 1), facing)
@@ -45,11 +45,16 @@ def _of_elements(grid: CellGrid, detector: Device, corners: tuple[Array, Array])
     lit = (vertices_m - emitter.origin_m) @ emitter.axes[0] > 0
     to_detector = vertices_m - detector.origin_m
     seen = lit & (to_detector @ detector.axes[0] > 0)
-    distance2 = np.maximum(np.sum(to_detector[seen] ** 2, axis=1), 1e-12)
+    distance2 = np.maximum(_squared_norms(to_detector[seen]), 1e-12)
     brightest = float((reflectance[seen] / np.pi / distance2).max(initial=0.0))
     whole = 2 * np.pi / (emitter.lobe_exponent + 1) / grid.size * brightest
     # As a deviation that is sqrt(3) times that of a share that is as likely as any smaller one.
     return _MISSED * math.sqrt(3) * whole / grid.size
+
+
+def _squared_norms(vectors: Array) -> Array:
+    """Of vectors (n, 3): a tenth of the time of a sum over so short an axis."""
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
 def contrast(light: Array) -> Array:
