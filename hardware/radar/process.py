@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.blas import one_blas_thread
 from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
@@ -108,6 +109,7 @@ class Frame:
         return f" by {self.detection}" if self.detection else ""
 
 
+@one_blas_thread()
 def process(
     record: "RadarRecord",
     burst: int = 0,
