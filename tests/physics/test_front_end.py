@@ -11,7 +11,8 @@ from hardware.waveform import OfdmWaveform
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.radar.acquisition import channel
-from twin.radar.device.design import Oscillator, RadarDesign
+from twin.radar.device.design import RadarDesign
+from twin.radar.device.electronics import Oscillator
 from twin.radar.device.front_end import arriving, digitize, full_scale_w, image_rejection_db
 from twin.radar.device.phase_noise import apply_phase_noise, draw_phase_noise, residual_rad
 from twin.radar.propagation.result import Propagation

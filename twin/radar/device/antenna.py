@@ -1,4 +1,4 @@
-"""The antenna: gain by direction, in closed form or from a pattern file.
+"""The antennas: gain by direction, in closed form or from a pattern file, and where they stand.
 
 Transmit and receive elements are alike, and so is their polarisation: vertical, co-polar. What
 an echo turns into the other polarisation is not received.
@@ -13,9 +13,11 @@ from pydantic import Field, model_validator
 
 from twin.errors import InputError
 from twin.radar.device.antenna_pattern_file import Pattern, read_pattern
-from twin.toml import Positive, Sourced, Strict
+from twin.toml import Finite, Positive, Sourced, Strict
 
 Array = NDArray[np.float64]
+Place = tuple[Finite, Finite, Finite]
+Places = Annotated[tuple[Place, ...], Field(min_length=1, max_length=256)]
 
 
 class Antenna(Strict):
@@ -77,3 +79,12 @@ class Antenna(Strict):
             f"gain from {Path(self.pattern_file.value).name}, which radiates "
             f"{100 * pattern.efficiency:.1f} % of what it is fed"
         )
+
+
+class Elements(Strict):
+    """Phase centres of the antennas: x ahead, y left, z up; transmitters take turns by slot."""
+
+    transmitters_m: Sourced[Places]
+    """Phase centres x, y, z of the transmitters, which take turns by slot."""
+    receivers_m: Sourced[Places]
+    """Phase centres x, y, z of the receivers."""

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import OfdmWaveform
-from twin.radar.device.design import Oscillator
+from twin.radar.device.electronics import Oscillator
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
