@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from hardware.commands import images, log, radar
+from hardware.commands import calibrate, capture, images, log, process, radar
 from hardware.commands.entry import leave, outcome
 from hardware.commands.output import version_option
 from hardware.errors import HardwareError
@@ -16,7 +16,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for room in (images, radar, log):
+for room in (images, radar, capture, process, log, calibrate):
     room.register(app)
 
 

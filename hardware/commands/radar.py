@@ -34,6 +34,10 @@ DetectionOption = Annotated[
 Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
 Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
 MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
+MaxAge = Annotated[
+    float,
+    typer.Option(help="Days after which a calibration is refused.", parser=quantity_of("d")),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -88,10 +92,7 @@ def detect(
     moving_only: MovingOnly = False,
     detection: DetectionOption = None,
     calibration: Annotated[Path | None, typer.Option(help="From `ugv calibrate radar`.")] = None,
-    max_age: Annotated[
-        float,
-        typer.Option(help="Days after which a calibration is refused.", parser=quantity_of("d")),
-    ] = 30.0,
+    max_age: MaxAge = 30.0,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write; default RECORD-detections.csv.")
     ] = None,

@@ -1,0 +1,81 @@
+"""The commands ``ugv calibrate camera`` and ``radar``, against a target at a known distance."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from hardware.commands.output import Output, with_output
+from hardware.commands.quantities import quantity_of
+from hardware.commands.records import RadarSetup, Settings, records_of
+from hardware.errors import InputError
+from hardware.formatting import si
+
+if TYPE_CHECKING:
+    from hardware.recording import Received
+
+_Record = TypeVar("_Record")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to an application."""
+    calibrate = typer.Typer(help="Calibrate against a reference target at a known distance.")
+    for name, command in (("camera", calibrate_camera), ("radar", calibrate_radar)):
+        calibrate.command(name)(with_output(command, f"ugv calibrate {name}"))
+    app.add_typer(calibrate, name="calibrate")
+
+
+def calibrate_camera(
+    say: Output,
+    dark: Annotated[str, typer.Argument(help="Log or URL: the lens covered.")],
+    flat: Annotated[str, typer.Argument(help="Log or URL: the target fills the view.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
+    distance: Annotated[float, typer.Option(help="Of the target, m.", parser=quantity_of("m"))],
+    reflectance: Annotated[
+        float, typer.Option(help="Of the target, Lambertian.", parser=quantity_of(None))
+    ] = 1.0,
+    settings: Settings = None,
+) -> None:
+    """Dark and flat of a camera."""
+    from hardware.calibration import CalibrationTarget, CameraCalibration, write_calibration
+    from hardware.records import SpiRecord
+
+    target = CalibrationTarget(distance, reflectance)
+    pair = [_first(records_of(source, settings), source, SpiRecord) for source in (dark, flat)]
+    write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
+    say.written(out)
+
+
+def calibrate_radar(
+    say: Output,
+    source: Annotated[str, typer.Argument(help="Log or URL: the target in view.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Calibration to write (HDF5).")],
+    distance: Annotated[float, typer.Option(help="Of the target, m.", parser=quantity_of("m"))],
+    cross_section: Annotated[
+        float, typer.Option(help="Of the target, m^2.", parser=quantity_of("m^2"))
+    ],
+    radar_setup: RadarSetup = None,
+) -> None:
+    """Range offset and power of a radar."""
+    from hardware.calibration import CalibrationTarget, RadarCalibration, write_calibration
+    from hardware.radar.process import process as processed
+    from hardware.records import RadarRecord
+
+    target = CalibrationTarget(distance, cross_section)
+    record = _first(records_of(source, None, radar_setup), source, RadarRecord)
+    frame = processed(record)
+    for warning in frame.warnings:
+        say.warn(f"{source}: {warning}")
+    result = RadarCalibration.of(record.device, frame.detections, target)
+    write_calibration(result, out)
+    say.verdict(f"range offset {si(result.range_offset_m, 'm')}")
+    say.add(range_offset_m=result.range_offset_m)
+    say.written(out)
+
+
+def _first(incoming: "Iterator[Received]", source: str, kind: type[_Record]) -> _Record:
+    for received in incoming:
+        if isinstance(received.record, kind):
+            return received.record
+    raise InputError(f"{source}: no {kind.__name__} in it")

@@ -1,0 +1,98 @@
+"""The command ``ugv capture``: the data of sensors into a log."""
+
+import math
+import time
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hardware.commands.output import Output, with_output
+from hardware.commands.quantities import quantity_of
+from hardware.commands.records import (
+    RadarSetup,
+    Settings,
+    log_of,
+    settings_of,
+    setup_of,
+    warn_of_damage,
+)
+from hardware.errors import InputError
+
+if TYPE_CHECKING:
+    from hardware.recording import Received
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command()(with_output(capture, "ugv capture"))
+
+
+def capture(
+    say: Output,
+    urls: Annotated[
+        list[str],
+        typer.Argument(
+            help="/dev/ttyACM0, socket:// or zmq://HOST:PORT, uhd:ARGS, replay:FILE, or "
+            "twin:SCENE?system=NAME&radar=NAME&seed=N&pace=fast (NAME: also a file, or none) "
+            "where the simulator is installed."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="New log (MCAP).")],
+    settings: Settings = None,
+    radar_setup: RadarSetup = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="TOML file: NAME = [x, y, z, qw, qx, qy, qz] of a sensor.")
+    ] = None,
+    duration: Annotated[
+        float, typer.Option(help="Seconds; default: until Ctrl-C.", parser=quantity_of("s"))
+    ] = math.inf,
+    records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
+) -> None:
+    """Record the data of sensors. Exit status 1: everything received was recorded, but a log among
+    the sources is damaged.
+    """
+    from hardware.capture import capture as run
+    from hardware.files import read_toml
+    from hardware.interruption import asked_to_end
+    from hardware.recording import Log
+    from hardware.recording.reading import Ending
+
+    loaded, setup = settings_of(settings), setup_of(radar_setup)
+    extrinsics = read_toml(rig) if rig else {}
+    extrinsics.pop("field_deg", None)  # of cameras, for `ugv process --motion radar`
+    n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
+    endings: dict[str, Ending] = {}
+    limits: dict[str, Any] = {"duration_s": duration, "records": records, "endings": endings}
+    with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
+        incoming = run(urls, log, loaded, setup, over=over, **limits)
+        try:
+            for received in incoming:
+                n[received.topic] += 1
+                missed[received.topic] += _is_overrun(received)
+                say.step(f"{received.topic}: record {n[received.topic]}")
+        finally:
+            if over.is_set():
+                say.line("stopped")
+            took_s = time.monotonic() - begun
+            say.verdict(f"{out}: {n.total()} records in {took_s:.1f} s")
+            say.add(log=out, records=dict(n), seconds=took_s, stopped=over.is_set())
+        if not n:
+            raise InputError(f"{', '.join(urls)}: no record came")
+    for topic in n:
+        if missed[topic] == n[topic]:
+            raise InputError(
+                f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
+                "heard: the bursts reach the radio after their time. Give the setup more time "
+                "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
+            )
+    warn_of_damage(say, {log_of(url): ending for url, ending in endings.items()})
+
+
+def _is_overrun(received: "Received") -> bool:
+    """Whether all slots of a radar's record are lost."""
+    from hardware.records import Flag, RadarRecord
+
+    record = received.record
+    return isinstance(record, RadarRecord) and bool((record.flags & Flag.OVERRUN).all())

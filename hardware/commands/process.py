@@ -1,0 +1,227 @@
+"""The command ``ugv process``: images and detections of the records of a log or a sensor."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hardware.commands.output import Output, with_output
+from hardware.commands.radar import (
+    CfarMethod,
+    ClutterShape,
+    DetectionOption,
+    FalseAlarm,
+    MaxAge,
+    MovingOnly,
+    Resolve,
+    Window,
+    processing,
+)
+from hardware.commands.records import (
+    RadarSetup,
+    Settings,
+    fault_in_brackets,
+    is_log,
+    log_of,
+    records_of,
+    warn_of_damage,
+)
+from hardware.errors import InputError
+
+if TYPE_CHECKING:
+    from hardware.calibration import CameraCalibration, RadarCalibration
+    from hardware.motion_of_tracks import MotionOfTracks
+    from hardware.processing import RecordSummary
+    from hardware.reconstruction.motion import Motion, Search
+    from hardware.recording import Received
+
+_CalibrationFiles = Annotated[
+    list[Path], typer.Option("--calibration", help="From `ugv calibrate`; one a sensor.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command()(with_output(process, "ugv process"))
+
+
+def process(
+    say: Output,
+    source: Annotated[str, typer.Argument(help="A log, or the URL of a sensor.")],
+    *,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap.")
+    ] = None,
+    method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
+    settings: Settings = None,
+    radar_setup: RadarSetup = None,
+    calibration: _CalibrationFiles = [],  # noqa: B006 (typer copies it)
+    max_age: MaxAge = 30.0,
+    records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
+    false_alarm: FalseAlarm = None,
+    cfar: CfarMethod = None,
+    clutter_shape: ClutterShape = None,
+    window: Window = None,
+    resolve: Resolve = False,
+    moving_only: MovingOnly = False,
+    tracks: Annotated[bool, typer.Option(help="Follow detections from burst to burst.")] = False,
+    image_every: Annotated[
+        int,
+        typer.Option(
+            min=0, help="An image after so many patterns, from a sliding window; 0: a set."
+        ),
+    ] = 0,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="How images move within a set: as of `ugv reconstruct`, or `radar`: by the rig's "
+            "poses and the radar's tracks."
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file for --motion radar where the log does not tell: NAME = [x, y, z, qw, "
+            "qx, qy, qz] of each sensor, [field_deg] NAME = [down, along] of the camera."
+        ),
+    ] = None,
+    detection: DetectionOption = None,
+) -> None:
+    """Process records to images and detections; those of a radar as with `ugv detect`."""
+    from hardware.interruption import asked_to_end
+    from hardware.processing import process as process_record
+    from hardware.reconstruction import method_of
+    from hardware.recording import Log
+    from hardware.recording.reading import Ending
+    from hardware.sliding_images import SlidingImages
+    from hardware.tracks import RadarTracks
+
+    image_motion = _image_motion(source, motion, rig, image_every)
+    camera, radar = _calibrations(calibration, max_age)
+    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
+    write_results = partial(
+        process_record,
+        how=how,
+        method=method_of(method),
+        camera=camera,
+        radar=radar,
+        tracks=RadarTracks() if tracks or motion == "radar" else None,
+        sliding=SlidingImages(image_every, image_motion) if image_every else None,  # type: ignore[arg-type]
+        motion=image_motion,
+    )
+    stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
+    target, ending = out or Path(f"{stem}-processed.mcap"), Ending()
+    # From a log, chunks are cut by their size alone: the same log gives the same bytes.
+    flush_s = math.inf if is_log(source) else 0.5
+    with asked_to_end() as over, Log(target, flush_s=flush_s) as log:
+        incoming = records_of(source, settings, radar_setup, over, ending)
+        processed = _Processed(say)
+        for received in itertools.islice(incoming, records or None):
+            if over.is_set():
+                break
+            processed.add(received, partial(write_results, received, log))
+        if over.is_set():
+            say.line("stopped")
+        if not processed.n:
+            whole = "whole " if processed.n_failed else ""
+            raise InputError(f"{source}: no {whole}record in it{fault_in_brackets(ending)}")
+    say.add(source=source, records=processed.n, results=processed.results)
+    say.written(target)
+    warn_of_damage(say, {log_of(source): ending})
+
+
+@dataclass
+class _Processed:
+    """Numbers of the records processed and failed, and the ``results`` for the document."""
+
+    say: Output
+    n: int = 0
+    n_failed: int = 0
+    results: list[dict[str, str]] = field(default_factory=list)
+    _start_ns: int | None = None
+
+    def add(self, received: "Received", write_results: "Callable[[], RecordSummary]") -> None:
+        """Process a record and print what came of it. Raises InputError where it is whole."""
+        say, topic = self.say, received.topic
+        try:
+            summary = write_results()
+        except InputError as error:
+            if not received.record.flags.any():
+                raise
+            # Too little of this record arrived; the next one may be whole.
+            self.n_failed += 1
+            say.warn(f"{topic}: not processed: {error}")
+            return
+        self.n += 1
+        say.step(f"processed record {self.n}, of {topic}")
+        for warning in summary.warnings:
+            say.warn(f"{topic}: {warning}")
+        if self._start_ns is None:
+            self._start_ns = received.host_ns
+        after_s = (received.host_ns - self._start_ns) / 1e9
+        for line in summary.lines:
+            say.verdict(f"{topic}, {after_s:.3f} s: {line}")
+        if say.json:
+            self.results += [{"topic": topic, "result": line} for line in summary.lines]
+
+
+def _calibrations(
+    paths: list[Path], max_age_days: float
+) -> "tuple[CameraCalibration | None, RadarCalibration | None]":
+    """The first of each kind. Raises InputError for one that is too old."""
+    from hardware.calibration import CameraCalibration, RadarCalibration, read_calibration
+
+    loaded = [read_calibration(path, max_age_s=86400 * max_age_days) for path in paths]
+    cameras = (each for each in loaded if isinstance(each, CameraCalibration))
+    radars = (each for each in loaded if isinstance(each, RadarCalibration))
+    return next(cameras, None), next(radars, None)
+
+
+def _image_motion(
+    source: str, motion: str | None, rig: Path | None, image_every: int
+) -> "Motion | Search | MotionOfTracks | None":
+    """What images are compensated for. Raises InputError where options contradict each other."""
+    from hardware.commands.motions import motion_of
+    from hardware.reconstruction.motion import Search
+
+    if rig and motion != "radar":
+        raise InputError("--rig: is for --motion radar")
+    if motion is None:
+        return None
+    given = _motion_of_tracks(source, rig) if motion == "radar" else motion_of(motion)
+    if image_every and (motion == "radar" or isinstance(given, Search)):
+        raise InputError(f"--motion: {motion}: needs whole sets, expected no --image-every")
+    return given
+
+
+def _motion_of_tracks(source: str, rig: Path | None) -> "MotionOfTracks":
+    """For ``--motion radar``. Raises InputError for a log without records of both sensors, and
+    where it is unknown how these are mounted.
+    """
+    from hardware.motion_of_tracks import MotionOfTracks
+    from hardware.recording.mounting import RADAR, SPI, Mounting, logged_mounting, read_mounting
+    from hardware.recording.reading import Ending
+
+    given, logged = read_mounting(rig) if rig else Mounting(), Mounting()
+    path, ending = log_of(source), Ending()
+    if path.endswith(".mcap"):
+        logged = logged_mounting(path, ending)
+        for kind in (SPI, RADAR):
+            if kind not in logged.records.values():
+                name = kind.rpartition("/")[2]
+                raise InputError(
+                    f"{path}: --motion radar: no {name} in it{fault_in_brackets(ending)}, expected "
+                    "both sensors"
+                )
+    mounting = Mounting(
+        {**logged.poses, **given.poses},
+        {**logged.fields_rad, **given.fields_rad},
+        logged.records,
+    )
+    mounting.check()
+    return MotionOfTracks(mounting)

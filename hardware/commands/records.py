@@ -1,0 +1,84 @@
+"""Records that a command takes, from a log or from a sensor, and what it tells of a damaged log."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hardware.commands.output import Output
+
+if TYPE_CHECKING:
+    import threading
+
+    from hardware.drivers import SpiSettings
+    from hardware.drivers.radio import Schedule
+    from hardware.recording import Received
+    from hardware.recording.reading import Ending
+    from hardware.records import RadarFrontEnd
+
+#: Exit status of a command that succeeded on the intact part of a damaged log.
+DATA_LOST = 1
+Settings = Annotated[
+    Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
+]
+RadarSetup = Annotated[
+    Path | None, typer.Option("--radar-setup", help="JSON file: schedule and front end of a radio.")
+]
+
+
+def records_of(
+    source: str,
+    settings: Path | None,
+    radar_setup: Path | None = None,
+    over: "threading.Event | None" = None,
+    ending: "Ending | None" = None,
+) -> "Iterator[Received]":
+    """Records of a log, or of a sensor by its URL, until ``over`` is set; how a log ends is put
+    into ``ending``.
+    """
+    from hardware.recording import read_records
+    from hardware.sources import open_source
+
+    if is_log(source):
+        return read_records(source, ending)
+    camera, radio = settings_of(settings), setup_of(radar_setup)
+    return open_source(source, camera, radio, over=over, ending=ending)
+
+
+def is_log(source: str) -> bool:
+    """Whether a source is a log, not the URL of a sensor."""
+    return ":" not in source and source.endswith(".mcap")
+
+
+def log_of(source: str) -> str:
+    """Path of a log that is read or, by its URL, replayed."""
+    return source.removeprefix("replay:").partition("?")[0]
+
+
+def settings_of(path: Path | None) -> "SpiSettings | None":
+    """Settings of a camera. Raises InputError."""
+    from hardware.drivers.settings import read_settings
+
+    return read_settings(path) if path else None
+
+
+def setup_of(path: Path | None) -> "tuple[Schedule, RadarFrontEnd] | None":
+    """Schedule and front end of a radio. Raises InputError."""
+    from hardware.drivers.radio.setup import read_setup
+
+    return read_setup(path) if path else None
+
+
+def fault_in_brackets(ending: "Ending") -> str:
+    """Why a log may hold less than is asked for; empty where it is whole."""
+    return f" ({ending.fault})" if ending.fault else ""
+
+
+def warn_of_damage(say: Output, endings: "Mapping[str | Path, Ending]") -> None:
+    """Warn of incomplete logs; where data are lost, exit with `DATA_LOST`."""
+    for path, ending in endings.items():
+        if ending.fault:
+            say.warn(f"{path}: {ending.advice(path)}")
+    if any(ending.lost for ending in endings.values()):
+        raise typer.Exit(DATA_LOST)
