@@ -102,18 +102,3 @@ def write_baseline(baseline: Baseline, path: Path) -> None:
 def _digest(content: dict[str, Any]) -> str:
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Entries of two setups that are not the same, one line each; of entries with names of their
-    own, such as knobs, those that differ.
-    """
-
-    def told(name: str) -> str:
-        one, other = before.get(name), now.get(name)
-        if isinstance(one, dict) and isinstance(other, dict):
-            apart = [key for key in {**one, **other} if one.get(key) != other.get(key)]
-            one, other = ({key: part.get(key) for key in apart} for part in (one, other))
-        return f"{name}: {one!r} in the baseline, {other!r} now"
-
-    return [told(name) for name in sorted({*before, *now}) if before.get(name) != now.get(name)]

@@ -1,31 +1,24 @@
-"""One test's comparison: run the method, hold it against its baseline, or make the baseline new."""
+"""The fixture of a test: a camera's or a radar's method, compared with its baseline."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from twin.accuracy import Interval
 from twin.camera.rendered import RenderedLight
-from twin.digest import digest, versions
-from twin.fidelity import Accuracy, Fidelity, LightFidelity, Noise, RadarFidelity, knobs_of
+from twin.digest import versions
+from twin.fidelity import Accuracy, LightFidelity, Noise, RadarFidelity, knobs_of
 from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign, load_radar
-from twin.regression.baseline import (
-    Baseline,
-    differences,
-    read_baseline,
-    rounded,
-    write_baseline,
-)
+from twin.regression.baseline import Baseline, read_baseline, write_baseline
+from twin.regression.comparison import Comparison
 from twin.regression.metrics import CAMERA_METRICS, RADAR_METRICS, Metric
 from twin.regression.model_error import ERROR_SEEDS, echo_errors, light_errors, of_views
-from twin.regression.pictures import draw_echoes, draw_images, echo_example, image_example, save
+from twin.regression.pictures import ECHOES, IMAGES, save
 from twin.regression.runs import (
     Method,
     RadarDetector,
@@ -33,34 +26,17 @@ from twin.regression.runs import (
     image_method,
     in_turn,
     radar_detector,
-    repeated,
     run_camera,
     run_radar,
     vehicle_detector,
 )
-from twin.regression.statistics import Verdict, compare, repeats, smallest_loss
+from twin.regression.setup import differences, seeds_of, setup_of, views_of
+from twin.regression.statistics import Verdict
 from twin.regression.truth import Truths
-from twin.scene import Pose, Scene, load_scene
+from twin.scene import Pose, Scene
 from twin.system import System, load_system
 
-#: A method's outcome over seeds.
-_Run = Callable[[Sequence[int]], SeedResults]
-#: Mean figures by metric with the model's errors, worked out where they are needed.
-_Errors = Callable[[], Mapping[str, Interval]]
-#: Figure of a failure from outcome, example, figures before, verdicts.
-_Draw = Callable[[SeedResults, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """What a baseline keeps of one seed to show, and how a failure is drawn beside it."""
-
-    example: Callable[[SeedResults], dict[str, Any]]
-    draw: _Draw
-
-
-_IMAGES, _ECHOES = _Shown(image_example, draw_images), _Shown(echo_example, draw_echoes)
-_DRAWS = "gives other figures of the same record each time; failures are counted, not paired"
+_NOT_REPEATED = "gives other figures of the same record each time; failures are counted, not paired"
 
 
 @dataclass
@@ -119,9 +95,9 @@ class Regression:
             Tells several comparisons of one test apart.
         """
         __tracebackhide__ = True
-        views, design = _views(scene, poses), load_system(system)
+        views, design = views_of(scene, poses), load_system(system)
         image_method(method)  # a wrong name is told before the render
-        numbers, knobs = _seeds(seeds, len(views)), knobs_of(fidelity)
+        numbers, knobs = seeds_of(seeds, len(views)), knobs_of(fidelity)
         light = [self.truths.light(view, design, knobs) for view in views]
 
         def run(view: int, numbers: Sequence[int]) -> SeedResults:
@@ -142,16 +118,26 @@ class Regression:
 
             def means(view: int, other: RenderedLight) -> dict[str, float]:
                 few = range(min(ERROR_SEEDS, seeds))
-                taken = (views[view], design, other, method, few, metrics, noise)
-                return run_camera(*taken, mirrored=not poses).means()
+                scene = views[view]
+                return run_camera(
+                    scene, design, other, method, few, metrics, noise, mirrored=not poses
+                ).means()
 
             return of_views([light_errors(each, partial(means, i)) for i, each in enumerate(light)])
 
-        setup = _setup("camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics)
-        runs = partial(in_turn, run, len(views))
-        return self._hold(
-            _IMAGES, runs, numbers, metrics, false_alarm, setup, errors, own=method, name=name
+        comparison = Comparison(
+            method=_name_of(method),
+            run=partial(in_turn, run, len(views)),
+            errors=errors,
+            seeds=numbers,
+            metrics=metrics,
+            false_alarm=false_alarm,
+            setup=setup_of(
+                "camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics
+            ),
+            pictures=IMAGES,
         )
+        return self._verdicts(comparison, name)
 
     def radar(
         self,
@@ -173,9 +159,9 @@ class Regression:
         All else is as for `camera`.
         """
         __tracebackhide__ = True
-        views, design = _views(scene, poses), load_radar(radar)
+        views, design = views_of(scene, poses), load_radar(radar)
         radar_detector(detector)  # a wrong one is told before the scene is traced
-        numbers, knobs = _seeds(seeds, len(views)), knobs_of(fidelity, design.total_bandwidth_hz)
+        numbers, knobs = seeds_of(seeds, len(views)), knobs_of(fidelity, design.total_bandwidth_hz)
         captures = [self.truths.echo(view, design, knobs) for view in views]
         accuracy = knobs.nufft_tolerance
 
@@ -189,158 +175,94 @@ class Regression:
 
             return of_views([echo_errors(capture, means) for capture in captures])
 
-        setup = _setup("radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics)
-        runs = partial(in_turn, run, len(views))
-        return self._hold(
-            _ECHOES, runs, numbers, metrics, false_alarm, setup, errors, own=detector, name=name
+        comparison = Comparison(
+            method=_name_of(detector),
+            run=partial(in_turn, run, len(views)),
+            errors=errors,
+            seeds=numbers,
+            metrics=metrics,
+            false_alarm=false_alarm,
+            setup=setup_of(
+                "radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics
+            ),
+            pictures=ECHOES,
         )
+        return self._verdicts(comparison, name)
 
-    def _hold(
-        self,
-        shown: _Shown,
-        run: _Run,
-        seeds: Sequence[int],
-        metrics: Sequence[Metric],
-        false_alarm: float,
-        setup: dict[str, Any],
-        errors: _Errors,
-        *,
-        own: str | Callable[..., Any],
-        name: str,
-    ) -> tuple[Verdict, ...]:
+    def _verdicts(self, comparison: Comparison, name: str) -> tuple[Verdict, ...]:
+        """Compare with the baseline, or make the baseline new where a reason is given."""
         __tracebackhide__ = True
-        method = own if isinstance(own, str) else _function_name(own)
         if name in self._named:
-            pytest.fail(
-                f"name: {name!r} is taken: one for each comparison of a test", pytrace=False
-            )
+            _fail(f"name: {name!r} is taken: one for each comparison of a test")
         self._named.add(name)
-        outcome = run(seeds)
+        outcome = comparison.run(comparison.seeds)
         stem = f"{self.test}-{name}" if name else self.test
-        path = self.baselines / f"{stem}.json"
-        known, fault = None, ""
-        try:
-            known = read_baseline(path)
-        except InputError as error:
-            fault = str(error)
-        if fault and self.reason is None:  # with a reason it is replaced
-            pytest.fail(f"{fault}: {self._remedy('why')}", pytrace=False)
+        path, picture = self.baselines / f"{stem}.json", self.pictures / f"{stem}.png"
         if self.reason is not None:
-            example = shown.example(outcome)
-            self._update(
-                path,
-                known,
-                outcome,
-                metrics,
-                false_alarm,
-                setup,
-                errors(),
-                method=method,
-                example=example,
-            )
+            self._update(comparison, outcome, path, self.reason)
             return ()
-        if known is None:
-            pytest.fail(
-                f"{path}: no such baseline; make one: {self._remedy('what it is for')}",
-                pytrace=False,
-            )
-        # A knob newer than the baseline stood then where `Fidelity` has it, even if another value
-        # is the default now; one that is gone is a change of the twin, which its figures are to
-        # judge. Baselines of earlier versions have the knobs of the other sensor too.
-        stood, usual = known.setup.get("fidelity", {}), Fidelity().said()
-        fidelity = {name: stood.get(name, usual[name]) for name in setup["fidelity"]}
-        if other := differences({**known.setup, "fidelity": fidelity}, setup):
-            pytest.fail(
-                f"{path}: made with another setup: {'; '.join(other)}; "
-                f"{self._remedy('why it changed')}",
-                pytrace=False,
-            )
-        views = _n_views(setup)
-        # On the same records the model's error is the same, and cancels.
-        is_same = known.records == outcome.records
-        judge = partial(
-            compare,
-            metrics,
-            known.arrays(),
-            outcome.figures,
-            false_alarm,
-            views=views,
-            errors=() if is_same else (known.errors(), errors()),
-        )
-        verdicts = judge(paired=is_same)
-        failed = sorted({seed for verdict in verdicts for seed in verdict.failed})
-        times = repeats(len(seeds), len(metrics), false_alarm)
-        if is_same and not repeated(run, outcome, failed, times):
-            self.notes.append(f"{self.node}: {_DRAWS}")
-            verdicts = judge(paired=False)
+        baseline = self._baseline(path, comparison.setup)
+        verdicts, repeats_itself = comparison.verdicts(outcome, baseline)
+        if not repeats_itself:
+            self.notes.append(f"{self.node}: {_NOT_REPEATED}")
         if any(verdict.worse for verdict in verdicts):
-            picture = self.pictures / f"{stem}.png"
-            save(shown.draw(outcome, known.example, known.figures, verdicts), picture)
-            pytest.fail(self._told(method, known, verdicts, path, picture), pytrace=False)
+            before = baseline.example, baseline.figures
+            save(comparison.pictures.draw(outcome, *before, verdicts), picture)
+            _fail(self._failure(comparison.method, baseline, verdicts, path, picture))
         if any(verdict.better for verdict in verdicts):
             self.notes.append(f"{self.node}: better; keep it: {self._remedy('what improved')}")
         return verdicts
 
-    def _update(
-        self,
-        path: Path,
-        known: Baseline | None,
-        outcome: SeedResults,
-        metrics: Sequence[Metric],
-        false_alarm: float,
-        setup: dict[str, Any],
-        errors: Mapping[str, Interval],
-        *,
-        method: str,
-        example: dict[str, Any],
-    ) -> None:
+    def _baseline(self, path: Path, setup: dict[str, Any]) -> Baseline:
+        """The baseline of a file; the test fails where there is none with this setup."""
         __tracebackhide__ = True
-        for metric in metrics:
-            wrong = np.flatnonzero(~np.isfinite(outcome.figures[metric.name]))
-            if wrong.size:
-                value = outcome.figures[metric.name][wrong[0]]
-                pytest.fail(
-                    f"metrics: {metric.name} is {value} at seed {wrong[0]}, expected a number; "
-                    "leave this metric out",
-                    pytrace=False,
-                )
-        figures = {n: [rounded(v) for v in values] for n, values in outcome.figures.items()}
-        model_error = {
-            n: [rounded(e.standard_error), rounded(e.systematic)] for n, e in errors.items()
-        }
-        made = Baseline(setup, figures, outcome.records, example, (), model_error)
-        if known and replace(known, example=example, history=()) == made:
+        try:
+            baseline = read_baseline(path)
+        except InputError as error:
+            _fail(f"{error}: {self._remedy('why')}")
+        if baseline is None:
+            _fail(f"{path}: no such baseline; make one: {self._remedy('what it is for')}")
+        if apart := differences(baseline.setup, setup):
+            _fail(
+                f"{path}: made with another setup: {'; '.join(apart)}; "
+                f"{self._remedy('why it changed')}"
+            )
+        return baseline
+
+    def _update(
+        self, comparison: Comparison, outcome: SeedResults, path: Path, reason: str
+    ) -> None:
+        """Write the new baseline, in place of a damaged one too."""
+        __tracebackhide__ = True
+        try:
+            before = read_baseline(path)
+        except InputError:
+            before = None
+        if fault := comparison.without_number(outcome):
+            _fail(fault)
+        new = comparison.new_baseline(outcome, before, reason)
+        if new is None:
             self.notes.append(f"{path}: as before, left alone")
             return
-        views = _n_views(setup)
-        find = partial(smallest_loss, n_metrics=len(metrics), false_alarm=false_alarm, views=views)
-        finds = {
-            m.name: float(f"{find(m, outcome.figures[m.name], error=errors[m.name]):.3g}")
-            for m in metrics
-        }
-        entry = {
-            "reason": self.reason,
-            "method": method,
-            "versions": versions(),
-            "before": known.means() if known else None,
-            "after": made.means(),
-            "finds": finds,
-        }
-        history = (*(known.history if known else ()), entry)
-        write_baseline(replace(made, history=history), path)
-        self.notes.append(f"{path}: written; {_figures_of(entry)}")
+        write_baseline(new, path)
+        self.notes.append(f"{path}: written; {_figures_text(new.history[-1])}")
 
     def _remedy(self, why: str) -> str:
         return f'pytest "{self.node}" --update-baseline "{why}"'
 
-    def _told(
-        self, method: str, known: Baseline, verdicts: Sequence[Verdict], path: Path, picture: Path
+    def _failure(
+        self,
+        method: str,
+        baseline: Baseline,
+        verdicts: Sequence[Verdict],
+        path: Path,
+        picture: Path,
     ) -> str:
-        last = known.history[-1]
-        now = versions()
+        """What became worse, in lines."""
+        last = baseline.history[-1]
         changed = [
             f"{name} {last['versions'].get(name)} -> {version}"
-            for name, version in now.items()
+            for name, version in versions().items()
             if last["versions"].get(name) != version
         ]
         return "\n".join(
@@ -355,52 +277,19 @@ class Regression:
         )
 
 
-def _setup(
-    kind: str,
-    scene: Scene,
-    poses: Sequence[Pose],
-    design: System | RadarDesign,
-    fidelity: LightFidelity | RadarFidelity,
-    seeds: int,
-    metrics: Sequence[Metric],
-) -> dict[str, Any]:
-    """What must not differ, in words where there are some; content by the start of its digest."""
-    truths: dict[str, Any] = {"poses": [str(pose) for pose in poses]} if poses else {}
-    if kind == "camera" and not poses:
-        truths = {"truths": ["as rendered", "mirrored"]}
-    return truths | {
-        "kind": kind,
-        "scene": f"{scene.name} {digest(scene)[:12]}",
-        "design": f"{design.name} {digest(design)[:12]}",
-        "fidelity": fidelity.said(),
-        "seeds": seeds,
-        "metrics": [metric.name for metric in metrics],
-    }
+def _fail(text: str) -> NoReturn:
+    __tracebackhide__ = True
+    pytest.fail(text, pytrace=False)
 
 
-def _n_views(setup: dict[str, Any]) -> int:
-    return len(setup.get("poses", [""]))
+def _name_of(method: Method | RadarDetector) -> str:
+    if isinstance(method, str):
+        return method
+    return getattr(method, "__qualname__", type(method).__qualname__)
 
 
-def _views(scene: str | Path | Scene, poses: Sequence[Pose]) -> list[Scene]:
-    """The scene from every pose, or as it is."""
-    if isinstance(scene, Scene):
-        return [scene.at(pose) for pose in poses] or [scene]
-    return [load_scene(scene, pose) for pose in poses] or [load_scene(scene)]
-
-
-def _seeds(seeds: int, n_views: int) -> range:
-    if seeds < 2 * n_views:
-        of = f" of each of {n_views} poses" if n_views > 1 else ""
-        raise InputError(f"seeds: {seeds}: expected at least 2{of}, a test needs their scatter")
-    return range(seeds)
-
-
-def _function_name(function: Callable[..., Any]) -> str:
-    return getattr(function, "__qualname__", type(function).__qualname__)
-
-
-def _figures_of(entry: dict[str, Any]) -> str:
+def _figures_text(entry: dict[str, Any]) -> str:
+    """Figures of an entry of a baseline's history, with those before."""
     before = entry["before"] or {}
     return ", ".join(
         f"{name} {f'{before[name]:.6g} -> ' if name in before else ''}{value:.6g} "

@@ -2,7 +2,8 @@
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -131,3 +132,21 @@ def _decoded(example: dict[str, Any]) -> NDArray[np.float64]:
 
     with Image.open(io.BytesIO(base64.b64decode(example["png"]))) as picture:
         return np.asarray(picture, np.float64) / 255
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """How results of one sensor are shown.
+
+    example
+        What a baseline keeps of the first seed's result.
+    draw
+        Figure of a failure from results, example and figures before, verdicts.
+    """
+
+    example: Callable[[SeedResults], dict[str, Any]]
+    draw: Callable[[SeedResults, dict[str, Any], dict[str, Any], Sequence[Verdict]], Figure]
+
+
+IMAGES = Pictures(image_example, draw_images)
+ECHOES = Pictures(echo_example, draw_echoes)
