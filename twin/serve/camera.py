@@ -3,15 +3,10 @@
 import logging
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass, replace
-
-import numpy as np
-from pydantic import ValidationError
+from dataclasses import dataclass
 
 from hardware.drivers.framing import Deframer, ProtocolFrame, encode
 from hardware.drivers.messages import (
-    MODE_CODES,
     ORDER_CODES,
     PROTOCOL_VERSION,
     UPLOADED,
@@ -35,9 +30,7 @@ from hardware.drivers.messages import (
     from_frame,
     to_frame,
 )
-from hardware.drivers.settings import SpiSettings
-from hardware.drivers.table import patterns_in, table_bytes
-from hardware.patterns import OwnPatterns, Patterns, PatternSet
+from hardware.drivers.table import table_bytes
 from hardware.records import Flag, SpiRecord
 from twin import __version__
 from twin.camera.chain import Chain
@@ -45,26 +38,24 @@ from twin.engine import EngineError
 from twin.files import InputError
 from twin.scene import Sun
 from twin.serve.clock import DeviceClock
-from twin.serve.configuration import INTEGRATION_S, configure_system
+from twin.serve.configuration import INTEGRATION_S
 from twin.serve.frames import FramesAhead
+from twin.serve.requested_system import (
+    MODES,
+    RefusedError,
+    requested_system,
+    uploaded_system,
+)
 from twin.serve.table import UploadedTable
 from twin.system import System
 
 _log = logging.getLogger(__name__)
 
 _FRAME_EXPOSURES = 64
-#: Interval at which a record that is computed is looked for; frames of a run before it is told that
-#: they are late.
-_LOOK_S, _SETS_BEFORE_TOLD = 0.01, 2
+_POLLING_S = 0.01  # at which a record that is being computed is looked for
+_SETS_BEFORE_WARNING = 2  # of a run, before there is a warning that they are late
 _FROM_CAMERA = 0x80  # types from here on are those that a camera sends
 _NO_REQUEST = "no request of the protocol"
-_ENOUGH_PATTERNS = 8  # patterns that tell most orders apart
-#: All but complementary, which takes a second detector behind a mirror.
-_MODES = sum(1 << code for code, mode in enumerate(MODE_CODES) if mode != "complementary")
-
-
-class _RefusedError(Exception):
-    """Refusal of a request: its code and reason."""
 
 
 @dataclass
@@ -78,7 +69,7 @@ class _CameraRun:
     exposure: int = 0
     frames: int = 0
     dropped: int = 0
-    told: bool = False
+    is_warned_of: bool = False
 
 
 class VirtualCamera:
@@ -156,7 +147,7 @@ class VirtualCamera:
         if (left := self.clock.left_s(due)) > 0:
             return left
         if run.record is None and not self._next_record(run):
-            return _LOOK_S if self._run is run and self._state == State.RUNNING else None
+            return _POLLING_S if self._run is run and self._state == State.RUNNING else None
         self._send_frame(run, made, stop)
         self.clock.wait_until(due)
         if stop == made.exposures:
@@ -185,14 +176,14 @@ class VirtualCamera:
     def _warn_late(self, run: _CameraRun) -> None:
         """Tell once in a run that records come later than they were measured."""
         made = self._configuration
-        if made is None or self.clock.pace == "fast" or run.told:
+        if made is None or self.clock.pace == "fast" or run.is_warned_of:
             return
         lasts_s = made.exposures * made.pattern_period_s
         first = made.exposures_per_frame
         due = run.start_ns + self._since(run.set * made.exposures + min(first, made.exposures))
         late_s = (self.clock.now_ns() - due) / 1e9
-        if run.set >= _SETS_BEFORE_TOLD and late_s > lasts_s:
-            run.told = True
+        if run.set >= _SETS_BEFORE_WARNING and late_s > lasts_s:
+            run.is_warned_of = True
             _log.warning(
                 "%s: slower than real time: a frame lasts %.3g s, frame %d is sent %.3g s late; "
                 "none is lost",
@@ -233,7 +224,7 @@ class VirtualCamera:
         received_ns = self.clock.now_ns()
         try:
             if frame.type >= _FROM_CAMERA:
-                raise _RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
+                raise RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
             match from_frame(frame):
                 case Identify():
                     return self._identity()
@@ -252,8 +243,8 @@ class VirtualCamera:
                 case Time(host_ns):
                     return TimeReply(host_ns, received_ns, self.clock.now_ns())
                 case _:
-                    raise _RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
-        except _RefusedError as error:
+                    raise RefusedError(Refusal.UNKNOWN, _NO_REQUEST)
+        except RefusedError as error:
             return Refused(*error.args)
         except InputError as error:
             unknown = str(error).startswith("type ")
@@ -268,7 +259,7 @@ class VirtualCamera:
             max_cells=cells,
             max_table_bytes=2 * (cells + 1) * -(-cells // 8),
             orders=(1 << len(ORDER_CODES)) - 1,
-            modes=_MODES,
+            modes=MODES,
             gains=1,
             min_integration_time_s=INTEGRATION_S[0],
             max_integration_time_s=INTEGRATION_S[1],
@@ -277,8 +268,8 @@ class VirtualCamera:
 
     def _configure(self, request: Configure) -> Configured:
         if self._state == State.RUNNING:
-            raise _RefusedError(Refusal.STATE, "Configure: a run is on")
-        system = self._system_for(request)
+            raise RefusedError(Refusal.STATE, "Configure: a run is on")
+        system = requested_system(self.system, request)
         if request.order == UPLOADED:
             size = system.patterns.n_exposures * -(-system.patterns.n_cells // 8)
             self._table.expect(size)
@@ -303,81 +294,27 @@ class VirtualCamera:
         )
         return self._configuration
 
-    def _system_for(self, request: Configure, uploaded: OwnPatterns | None = None) -> System:
-        """The system that does what is asked for, with an ``uploaded`` table's own patterns."""
-
-        def refuse(why: str) -> None:
-            raise _RefusedError(Refusal.UNSUPPORTED, why)
-
-        own = self.system.patterns
-        if (request.rows, request.columns) != (own.rows, own.columns):
-            refuse(f"rows, columns: the emitter has {own.rows} x {own.columns} cells")
-        if request.order >= len(ORDER_CODES) and request.order != UPLOADED:
-            refuse("order: this camera does not know it")
-        if request.mode >= len(MODE_CODES) or not _MODES >> request.mode & 1:
-            refuse("mode: this camera does not know it")
-        if not 1 <= request.count <= own.n_cells:
-            refuse(f"count: {request.count} is not between 1 and {own.n_cells}")
-        mode = MODE_CODES[request.mode]
-        try:
-            patterns: Patterns
-            if request.order != UPLOADED:
-                order = ORDER_CODES[request.order]
-                patterns = PatternSet(own.rows, own.columns, request.count, order, mode)
-            elif uploaded is not None:
-                patterns = uploaded
-            elif mode == "s-matrix":
-                patterns = PatternSet(own.rows, own.columns, request.count, "natural", mode)
-            else:  # of the size of what is to come
-                dark = np.zeros((request.count, own.rows, own.columns), np.uint16)
-                patterns = OwnPatterns(dark, mode)
-            settings = SpiSettings(
-                patterns,
-                request.integration_time_s,
-                request.pattern_period_s,
-                gain=request.gain,
-                shutters=request.shutters,
-            )
-            return configure_system(self.system, settings)
-        except (InputError, ValidationError) as error:
-            raise _RefusedError(Refusal.UNSUPPORTED, " ".join(str(error).split())[:150]) from error
-
     def _upload(self, offset: int, portion: bytes) -> Status:
         if self._state != State.CONFIGURED or self._request.order != UPLOADED:
-            raise _RefusedError(Refusal.STATE, "Upload: configure for it first")
+            raise RefusedError(Refusal.STATE, "Upload: configure for it first")
         if not portion:
-            raise _RefusedError(Refusal.MALFORMED, "Upload: no bytes")
+            raise RefusedError(Refusal.MALFORMED, "Upload: no bytes")
         try:
             self._table.take(offset, portion)
         except InputError as error:
-            raise _RefusedError(Refusal.TABLE, str(error)) from error
+            raise RefusedError(Refusal.TABLE, str(error)) from error
         return self._status()
 
     def _arm(self, crc: int) -> Status:
         if self._state not in (State.CONFIGURED, State.ARMED) or self._configuration is None:
-            raise _RefusedError(Refusal.STATE, "Arm: configure first")
+            raise RefusedError(Refusal.STATE, "Arm: configure first")
         if (self._configuration.table_bytes, crc) != self._table_state():
-            raise _RefusedError(Refusal.TABLE, "Arm: this is not the table that I hold")
+            raise RefusedError(Refusal.TABLE, "Arm: this is not the table that I hold")
         if self._state == State.CONFIGURED and self._request.order == UPLOADED:
-            self._configured_system = self._recognized(bytes(self._table.data))
+            table = bytes(self._table.data)
+            self._configured_system = uploaded_system(self.system, self._request, table)
         self._state = State.ARMED
         return self._status()
-
-    def _recognized(self, table: bytes) -> System:
-        """The system that shows an uploaded table: by name where it is that of a named order."""
-        asked = self._request
-        mode = MODE_CODES[asked.mode]
-        with suppress(InputError):  # cells that are no power of two have no named order
-            for code, name in enumerate(ORDER_CODES):
-                patterns = PatternSet(asked.rows, asked.columns, asked.count, name, mode)
-                first = patterns.take(np.arange(asked.count) < _ENOUGH_PATTERNS)
-                if table.startswith(table_bytes(first)) and table == table_bytes(patterns):
-                    return self._system_for(replace(asked, order=code))
-        try:
-            own = patterns_in(table, asked.rows, asked.columns, mode)
-        except InputError as error:
-            raise _RefusedError(Refusal.TABLE, f"Arm: {error}"[:150]) from error
-        return self._system_for(asked, own)
 
     def _table_state(self) -> tuple[int, int]:
         """Number of bytes of the table received, and their CRC-32."""
@@ -390,7 +327,7 @@ class VirtualCamera:
     def _start(self, number: int, sets: int) -> Status:
         if self._run is None or number != self._run.number:
             if self._state != State.ARMED:
-                raise _RefusedError(Refusal.STATE, "Start: arm first")
+                raise RefusedError(Refusal.STATE, "Start: arm first")
             self._run = _CameraRun(
                 number, sets, self.clock.now_ns(), self._records(self._configured_system)
             )
