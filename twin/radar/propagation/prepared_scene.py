@@ -14,8 +14,9 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.one_way.context import tracing_context, with_images
 from twin.radar.propagation.one_way.motion import PointMotion, RigidMotions, radar_motion
-from twin.radar.propagation.one_way.path import TracingContext, tracing_context, with_images
+from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.scene.culling import (
     OF_NOISE,
     Beam,
