@@ -4,8 +4,8 @@
 in place of the bundled one (``twin.capture(..., detector=...)``, ``[detector] function``).
 """
 
-from twin.detector.front_end import FrontEnd, expose
+from twin.detector.front_end import FrontEnd, expose, noise_budget
 from twin.detector.interface import Detector
-from twin.detector.noise import NoiseBudget, noise_budget
+from twin.detector.noise import NoiseBudget
 
 __all__ = ["Detector", "FrontEnd", "NoiseBudget", "expose", "noise_budget"]

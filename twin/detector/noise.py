@@ -1,8 +1,7 @@
-"""The noise budget of one exposure, and the noise of each pixel of the image."""
+"""The noise of one exposure by its causes, and of each pixel of the image."""
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +9,6 @@ from numpy.typing import NDArray
 from hardware.patterns import Patterns, PatternSet, RasterScan, fwht_in_place
 from hardware.reconstruction.sensing import Sensing
 from twin.errors import InputError
-
-if TYPE_CHECKING:
-    from twin.detector.front_end import FrontEnd
 
 Array = NDArray[np.float64]
 
@@ -87,40 +83,3 @@ class NoiseBudget:
         if patterns.mode == "reference":
             gain += 2 * inverse.sum(axis=1) ** 2
         return np.asarray(self.total_noise_e * np.sqrt(gain))
-
-
-#: 2 x 4 x the integral of sin(u)^2 / u from 0 to pi/2: what the difference of two exposures in turn
-#: keeps of 1/f noise, per white variance and corner frequency times period.
-_FLICKER_OF_A_PAIR = 6.593
-
-
-def noise_budget(
-    signal_w: Array,
-    background_w: float | Array,
-    front_end: "FrontEnd",
-    emitter_noise: float = 0.0,
-) -> NoiseBudget:
-    """Budget at the mean of the exposures ``signal_w``, W, and of the background.
-
-    ``emitter_noise``: relative fluctuation of the emitter. 1/f noise is counted as it survives the
-    difference of a pair.
-    """
-    shot = front_end.shot_variance
-    signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
-    background = float(np.mean(background_w)) * front_end.electrons_per_watt
-    return NoiseBudget(
-        signal_e=signal,
-        background_e=background,
-        dark_e=front_end.dark_e,
-        noise_e={
-            "shot noise of the signal": float(np.sqrt(shot * signal)),
-            "shot noise of the sun": float(np.sqrt(shot * background)),
-            "shot noise of the dark current": float(np.sqrt(shot * front_end.dark_e)),
-            "Johnson noise of the amplifier": front_end.johnson_e,
-            "read noise": front_end.read_e,
-            "1/f noise of the amplifier": front_end.amplifier_e
-            * float(np.sqrt(_FLICKER_OF_A_PAIR / 2 * front_end.flicker_cycles)),
-            "fluctuation of the emitter": emitter_noise * signal,
-            "quantisation": front_end.electrons_per_count / float(np.sqrt(12)),
-        },
-    )
