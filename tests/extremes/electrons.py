@@ -7,8 +7,7 @@ from tests.extremes import oracle
 from tests.extremes.case import Case, Found
 from tests.extremes.light import expected_electrons
 from tests.extremes.worlds import camera, light_stated, look, scene, square
-from twin.detector import FrontEnd, expose
-from twin.detector.front_end import noise_budget
+from twin.detector import FrontEnd, expose, noise_budget
 
 _N = 20_000
 _POWER_W = 2e-9

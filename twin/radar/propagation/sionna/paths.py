@@ -10,47 +10,35 @@ Higher rungs leave Sionna aside: `twin.radar.propagation.physical_optics_solver`
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
-from twin.engine import sionna
-from twin.geometry import mitsuba_mesh, planes
+from twin.geometry import planes
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.motion import (
     PointMotion,
     RigidMotions,
     lengthening,
-    radar_motion,
     target_motion,
     turning,
 )
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
-from twin.radar.propagation.scene.materials import radio_properties, surface_of
-from twin.radar.propagation.scene.scattering_models import ScatteringModel, assign_scattering_models
+from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.propagation.sionna.raw import TARGET, RawPath
+from twin.radar.propagation.sionna.world import RadioWorld
 from twin.radar.propagation.tabulated import (
     SpecularPath,
     Tabulated,
     answers,
-    assumptions,
     specular_path,
-    tabulated,
-    warning,
 )
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
-
-_AIR = "opaque air"
-_SAMPLES = 100_000  # rays that look for surfaces; the image method then is exact
-_BUFFER = 10_000
-#: A half space: deep enough that nothing comes back from the far side of a lossy wall.
-_THICKNESS_M = 10.0
 
 
 def sionna_paths(
@@ -71,9 +59,10 @@ def sionna_paths(
 
     Raises InputError where a reflecting surface's material has no data at the carrier.
     """
-    world = _RadioWorld(scene, radar, table_nodes)
-    mirrors = world.environment(max_depth, seed)
-    points, dense = world.targets(max_depth, seed)
+    world = RadioWorld(scene, radar, table_nodes)
+    refinement = _Refinement(world)
+    mirrors = refinement.environment(max_depth, seed)
+    points, dense = refinement.targets(max_depth, seed)
     loss = 10 ** (-radar.front_end.losses_db.value / 20)
     names, paths = by_delay(
         [p.name for p in (*mirrors, *points)], _received((*mirrors, *points), loss)
@@ -114,175 +103,33 @@ def _heard(
     return tuple(Heard(name, len(w), float(abs(sum(w)) ** 2)) for name, w in waves.items())
 
 
-# Solvers keep no state, and making one decorates functions anew: once per process.
+class _Refinement:
+    """Paths of Sionna's scene measured anew on the scene's own planes."""
 
-
-@lru_cache(maxsize=1)
-def _path_solver() -> Any:
-    return sionna().PathSolver(deterministic=True)
-
-
-@lru_cache(maxsize=1)
-def _target_solver() -> Any:
-    sionna()
-    from sionna.rt.rcs import RCSSolver
-
-    return RCSSolver(deterministic=True)
-
-
-class _RadioWorld:
-    """Sionna's scene with the radar at its origin, and our own geometry beside it."""
-
-    def __init__(self, scene: Scene, radar: RadarDesign, table_nodes: int) -> None:
-        self.radar = radar
-        self.offset, self.axes = scene.rig.device("radar")
-        self.origin = scene.rig.position_m + self.offset
-        self.motion = radar_motion(scene)
-        self.roles = assign_scattering_models(scene, radar.ofdm.wavelength_m)
-        self.surfaces = {a.name for a in self.roles if a.role is ScatteringModel.SURFACE}
-        self.assumptions: list[str] = []
-        self.warnings: list[str] = []
-        self.objects = {item.name: item for item in scene.objects}
-        self.tables = self._tables(scene, table_nodes)
-        replaced = {thing.point.name for thing in self.tables}
-        declared = [t for t in scene.targets if t.object not in replaced]
-        # Sionna's paths count them in this order.
-        self.targets_met = [*declared, *(thing.point for thing in self.tables)]
-        self.n_declared = len(declared)
-        self.scene = scene
-        rt = sionna()
-        self.world = rt.load_scene()
-        self.world.frequency = radar.ofdm.carrier_hz
-        array = rt.PlanarArray(num_rows=1, num_cols=1, pattern="iso", polarization="V")
-        self.world.tx_array = self.world.rx_array = array
-        self.world.add(rt.Transmitter("transmitter", [0.0, 0.0, 0.0]))
-        self.world.add(rt.Receiver("receiver", [0.0, 0.0, 0.0]))
-        meshes = self._add_meshes(scene)
-        self._add_targets()
-        self.meshes_met = {int(mesh.object_id): self.objects[name] for name, mesh in meshes.items()}
-
-    def _tables(self, scene: Scene, nodes: int) -> list[Tabulated]:
-        tables = [
-            tabulated(scene, self.objects[a.name], self.radar, nodes)
-            for a in self.roles
-            if a.role is ScatteringModel.TABLE
-        ]
-        for thing in tables:
-            item = self.objects[thing.point.name]
-            distance = float(np.linalg.norm(np.asarray(thing.point.position_m) - self.origin))
-            self.warnings += filter(None, [warning(thing, distance)])
-            self.assumptions += assumptions(thing, item.material, self.radar)
-        return tables
-
-    def _add_meshes(self, scene: Scene) -> dict[str, Any]:
-        """Surfaces with their material; obstacles as air that is opaque and reflects nothing."""
-        rt = sionna()
-        made: dict[str, Any] = {}
-        meshes: dict[str, Any] = {}
-        for assigned in self.roles:
-            if assigned.role in (ScatteringModel.TARGET, ScatteringModel.TABLE):
-                continue
-            item = self.objects[assigned.name]
-            key = item.material if assigned.role is ScatteringModel.SURFACE else _AIR
-            if key not in made:
-                made[key] = rt.RadioMaterial(f"material-{len(made)}", **self._material(key, scene))
-            mesh = rt.SceneObject(
-                mi_mesh=_mesh(item, self.origin),
-                name=f"object-{len(meshes)}",  # Sionna edits names of its own accord
-                radio_material=made[key],
-            )
-            meshes[item.name] = mesh
-        if meshes:
-            self.world.edit(add=list(meshes.values()))
-        return meshes
-
-    def _material(self, name: str, scene: Scene) -> dict[str, float]:
-        if name == _AIR:
-            return {"relative_permittivity": 1.0, "conductivity": 0.0}
-        carrier = self.radar.ofdm.carrier_hz
-        permittivity, conductivity, assumed = radio_properties(name, scene.materials[name], carrier)
-        if assumed:
-            self.assumptions.append(f"radio properties of {name}: {assumed}")
-        return {
-            "relative_permittivity": permittivity,
-            "conductivity": conductivity,
-            "thickness": _THICKNESS_M,
-        }
-
-    def _add_targets(self) -> None:
-        """Declared targets and those of tables, in their order."""
-        from sionna.rt.rcs import (
-            ConstantCPM,
-            ConstantRCS,
-            ConstantRCSSensingTarget,
-            ScatteringModel,
-            SensingTarget,
-        )
-
-        for number, target in enumerate(self.targets_met):
-            name = f"target-{number}"
-            place = np.asarray(target.position_m) - self.origin
-            if target.object is None:
-                size = dict.fromkeys(("length", "width", "height"), 0.05)
-                thing = ConstantRCSSensingTarget(
-                    name, sigma=target.rcs_m2, position=place.tolist(), **size
-                )
-            else:
-                item = self.objects[target.object]
-                # A scattering point is given relative to the middle of its mesh's box.
-                middle = (item.vertices_m.min(axis=0) + item.vertices_m.max(axis=0)) / 2
-                model = ScatteringModel(
-                    (place - middle + self.origin).tolist(),
-                    rcs=ConstantRCS(target.rcs_m2),
-                    cpm=ConstantCPM(),
-                )
-                mesh = _mesh(item, self.origin)
-                thing = SensingTarget(name=name, scattering_model=model, mi_mesh=mesh)
-            self.world.add(thing)
+    def __init__(self, world: RadioWorld) -> None:
+        self.world = world
 
     def environment(self, max_depth: int, seed: int) -> list[_Refined]:
         """Mirror images of the radar in large surfaces."""
-        if not self.surfaces:
-            return []
-        solved = _path_solver()(
-            self.world,
-            max_depth=max_depth,
-            max_num_paths_per_src=_BUFFER,
-            samples_per_src=_SAMPLES,
-            los=False,
-            specular_reflection=True,
-            diffuse_reflection=False,
-            refraction=False,
-            seed=seed,
-        )
-        return [path for raw in RawPath.unpack(solved) if (path := self._refined(raw))]
+        raw_paths = self.world.surface_paths(max_depth, seed)
+        return [path for raw in raw_paths if (path := self._refined(raw))]
 
     def targets(self, max_depth: int, seed: int) -> tuple[list[_Refined], list[_Refined]]:
         """Ways to every target and back, directly and over surfaces: to declared ones, and to
         those that answer from tables.
         """
-        if not self.targets_met:
-            return [], []
-        solved = _target_solver()(
-            self.world,
-            max_depth=max_depth,
-            samples_per_sp=_SAMPLES,
-            buffer_size_per_sp=_BUFFER,
-            refraction=False,
-            seed=seed,
-        )
         points: list[_Refined] = []
-        paths_of_tables: list[list[tuple[RawPath, _Refined]]] = [[] for _ in self.tables]
-        for raw in RawPath.unpack(solved):
+        paths_of_tables: list[list[tuple[RawPath, _Refined]]] = [[] for _ in self.world.tables]
+        for raw in self.world.target_paths(max_depth, seed):
             path = self._refined(raw)
             if path is None:
                 continue
-            number = raw.objects[raw.kinds.index(TARGET)] - self.n_declared
+            number = raw.objects[raw.kinds.index(TARGET)] - self.world.n_declared
             if number < 0:
                 points.append(path)
             else:
                 paths_of_tables[number].append((raw, path))
-        pairs = zip(self.tables, paths_of_tables, strict=True)
+        pairs = zip(self.world.tables, paths_of_tables, strict=True)
         return points, [
             echo
             for thing, paths_of_target in pairs
@@ -300,7 +147,7 @@ class _RadioWorld:
             path_pairs.append(
                 (self._specular_path(thing, list(there)), self._specular_path(thing, list(back)))
             )
-        wavelength = self.radar.ofdm.wavelength_m
+        wavelength = self.world.radar.ofdm.wavelength_m
         amplitude, delay = answers(thing, path_pairs, wavelength)
         return [
             _Refined(
@@ -316,32 +163,34 @@ class _RadioWorld:
 
     def _specular_path(self, thing: Tabulated, reflections: list[tuple[int, int]]) -> SpecularPath:
         """The path from the radar to a target over triangles of surfaces, by object and number."""
-        carrier = self.radar.ofdm.carrier_hz
-        items = [self.meshes_met[number] for number, _ in reflections]
+        world = self.world
+        carrier = world.radar.ofdm.carrier_hz
+        items = [world.meshes_met[number] for number, _ in reflections]
         planes = [self._plane(item, n) for item, (_, n) in zip(items, reflections, strict=True)]
         # Nothing goes through surfaces on this rung: they have no thickness.
         surfaces = [
-            surface_of(replace(item, thickness_m=None), self.scene, carrier)[0] for item in items
+            surface_of(replace(item, thickness_m=None), world.scene, carrier)[0] for item in items
         ]
-        point = np.asarray(thing.point.position_m) - self.origin
-        return specular_path(point, planes, surfaces, self.axes, carrier)
+        point = np.asarray(thing.point.position_m) - world.origin
+        return specular_path(point, planes, surfaces, world.axes, carrier)
 
     def _gain(self, echo: Contributions) -> float:
         """Of the antenna's amplitude, there and back."""
         directions = np.concatenate([echo.departure, echo.arrival])
-        return float(np.sqrt(np.prod(self.radar.antenna.gain(directions))))
+        return float(np.sqrt(np.prod(self.world.radar.antenna.gain(directions))))
 
     def _refined(self, raw: RawPath) -> _Refined | None:
         """The same path with its length in float64; None for one over an obstacle."""
+        world = self.world
         # Sionna counts sensing targets by themselves. Both kinds have a name and a velocity.
         interactions: list[SceneObject | Target] = [
-            self.targets_met[i] if kind == TARGET else self.meshes_met[i]
+            world.targets_met[i] if kind == TARGET else world.meshes_met[i]
             for i, kind in zip(raw.objects, raw.kinds, strict=True)
         ]
-        if any(isinstance(m, SceneObject) and m.name not in self.surfaces for m in interactions):
+        if any(isinstance(m, SceneObject) and m.name not in world.surfaces for m in interactions):
             return None
         planes = [
-            (*self._plane(m, primitive), RigidMotions.of([m], self.origin), 0)
+            (*self._plane(m, primitive), RigidMotions.of([m], world.origin), 0)
             if isinstance(m, SceneObject)
             else None
             for m, primitive in zip(interactions, raw.primitives, strict=True)
@@ -349,21 +198,21 @@ class _RadioWorld:
         vertices = raw.vertices.copy()
         at = next((i for i, m in enumerate(interactions) if isinstance(m, Target)), None)
         if at is None:
-            place, moving = np.zeros(3), self.motion
+            place, moving = np.zeros(3), world.motion
             sections = [planes]
         else:
-            place = np.asarray(self.targets_met[raw.objects[at]].position_m) - self.origin
-            moving = target_motion(self.scene, self.targets_met[raw.objects[at]])
+            place = np.asarray(world.targets_met[raw.objects[at]].position_m) - world.origin
+            moving = target_motion(world.scene, world.targets_met[raw.objects[at]])
             vertices[at] = place
             sections = [planes[:at], planes[:at:-1]]
-        motions = [_path_motion(place, moving, self.motion, p) for p in sections]
+        motions = [_path_motion(place, moving, world.motion, p) for p in sections]
         # Length with its first and second derivative, of both paths together.
         length, rate, acceleration = np.sum([lengths for lengths, _ in motions], axis=0)
         turns = [_mirrored_back(turn, p) for (_, turn), p in zip(motions, sections, strict=True)]
         # A path without a target ends at the radar's own image.
         turns = [*turns, -motions[0][1]][:2]
         ends = self._direction(vertices[0]), self._direction(vertices[-1])
-        spin = self._in_antenna(self.motion.spin_rad_per_s)
+        spin = self._in_antenna(world.motion.spin_rad_per_s)
         name = PathName(
             tuple(m.name for m in interactions), None if at is None else interactions[at].name
         )
@@ -385,12 +234,12 @@ class _RadioWorld:
         return self._in_antenna(towards / np.linalg.norm(towards))
 
     def _in_antenna(self, vector: Array) -> Array:
-        turned: Array = (self.axes @ vector).reshape(1, 3)
+        turned: Array = (self.world.axes @ vector).reshape(1, 3)
         return turned
 
     def _plane(self, item: SceneObject, primitive: int) -> tuple[Array, Array]:
         """A point and the unit normal of a triangle, relative to the radar, in float64."""
-        corners = item.vertices_m[item.geometry.faces[primitive]] - self.origin
+        corners = item.vertices_m[item.geometry.faces[primitive]] - self.world.origin
         (plane,) = planes(corners, np.array([[0, 1, 2]]))
         return plane[:3], plane[3:]
 
@@ -420,10 +269,3 @@ def _mirrored_back(direction: Array, planes: "list[Any]") -> Array:
     for _, normal, *_ in reversed(planes):
         direction = direction - 2 * (direction @ normal) * normal
     return direction
-
-
-def _mesh(item: SceneObject, origin: Array) -> Any:
-    """Sionna's copy of a mesh, relative to the radar."""
-    import mitsuba as mi
-
-    return mitsuba_mesh(mi, item.vertices_m - origin, item.geometry.faces, name=item.name)
