@@ -1,46 +1,26 @@
 """At which accuracy a study computes its points: what it says itself, and what it is asked for."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from twin.errors import InputError
 from twin.fidelity import Accuracy, Fidelity, LightFidelity, Tolerance
 from twin.fidelity.knobs import NONE
+from twin.sweep.accuracy_names import KNOB, PRESET, TOLERANCE
 from twin.sweep.names import needs_radar
+from twin.sweep.study import Study
 
-if TYPE_CHECKING:
-    from twin.sweep.study import Study
-
-_ROOT, _UNSET = "fidelity.", "(not set)"
-TOLERANCE, PRESET = f"{_ROOT}tolerance", f"{_ROOT}preset"
-_MOTION = f"{_ROOT}motion_tolerance"
-#: Numbers of paths, which a tolerance chooses itself.
-_CHOSEN = (f"{_ROOT}samples", f"{_ROOT}indirect_samples")
+_UNSET = "(not set)"
+_MOTION = f"{KNOB}motion_tolerance"
 
 
-def check_accuracy(parameters: Iterable[str]) -> None:
-    """Raise InputError for parameters of which one leaves the other without effect."""
-    given = set(parameters)
-    if {TOLERANCE, PRESET} <= given:
-        raise InputError(f"{TOLERANCE}, {PRESET}: expected one of them")
-    for name in _CHOSEN:
-        if {TOLERANCE, name} <= given:
-            raise InputError(f"{name}: has no effect beside {TOLERANCE}, by which paths are added")
-
-
-def names_accuracy(parameters: Iterable[str]) -> bool:
-    """Whether any parameter is a tolerance, a preset or a knob."""
-    return any(name.startswith(_ROOT) for name in parameters)
-
-
-def with_accuracy(study: "Study", accuracy: Accuracy) -> "Study":
+def with_accuracy(study: Study, accuracy: Accuracy) -> Study:
     """The same study at a tolerance, a preset, or knobs, in place of the preset or tolerance that
     it sets; knobs that it sets or varies stay.
 
     Raises InputError where the study varies its preset or tolerance, or a knob without effect then.
 
-    >>> from twin.sweep import Study
     >>> study = Study(name="lens", metrics=["psnr_db"], grid={"system.optics.f_number": [1, 2]})
     >>> with_accuracy(study, 0.1).set
     {'fidelity.tolerance': 0.1}
@@ -69,7 +49,7 @@ def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
         base, named = Tolerance(share).knobs(), {TOLERANCE: share}
     knobs = [f.name for f in fields(accuracy if has_radar else LightFidelity)]
     usual, said = base.said(), accuracy.said()
-    changed = {f"{_ROOT}{n}": said[n] for n in knobs if said[n] != usual[n]}
+    changed = {f"{KNOB}{n}": said[n] for n in knobs if said[n] != usual[n]}
     if changed.get(_MOTION, NONE) is None:
         changed[_MOTION] = NONE
     if none := [n for n, value in changed.items() if value is None]:
@@ -79,14 +59,14 @@ def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
 
 def accuracy_of(study: Mapping[str, Any]) -> dict[str, Any]:
     """What a study, as it is stored, sets of its accuracy."""
-    return {name: value for name, value in study["set"].items() if name.startswith(_ROOT)}
+    return {name: value for name, value in study["set"].items() if name.startswith(KNOB)}
 
 
 def other_accuracy(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     """How two studies, as they are stored, differ where it is in the accuracy alone, else ""."""
     one, other = accuracy_of(old), accuracy_of(new)
     rest = [
-        {**study, "set": {n: v for n, v in study["set"].items() if not n.startswith(_ROOT)}}
+        {**study, "set": {n: v for n, v in study["set"].items() if not n.startswith(KNOB)}}
         for study in (old, new)
     ]
     if one == other or rest[0] != rest[1]:

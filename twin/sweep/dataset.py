@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.units import unit_of
 from twin.accuracy.interval import half_width as half_width_of
 from twin.files import InputError
-from twin.sweep.accuracy import TOLERANCE
+from twin.sweep.accuracy_names import TOLERANCE
 from twin.sweep.names import CLOSED_FORM, ERRORS, MODEL_ERRORS, RENDERED, error_of, is_own
 from twin.sweep.refinement import coarse_study
 from twin.sweep.study import Study

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from twin.fidelity import Tolerance
-from twin.sweep.accuracy import TOLERANCE, names_accuracy
+from twin.sweep.accuracy_names import TOLERANCE, names_accuracy
 
 if TYPE_CHECKING:
     from twin.sweep.study import Study

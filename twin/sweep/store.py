@@ -25,7 +25,8 @@ from hardware.formatting import setting_text
 from twin.digest import versions
 from twin.fidelity import Fidelity, Tolerance
 from twin.files import InputError, new_folder
-from twin.sweep.accuracy import TOLERANCE, accuracy_of, other_accuracy
+from twin.sweep.accuracy import accuracy_of, other_accuracy
+from twin.sweep.accuracy_names import TOLERANCE
 from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs

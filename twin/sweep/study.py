@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, StrictBool, ValidationError, model_validator
 
 from twin.files import InputError
-from twin.sweep.accuracy import check_accuracy
+from twin.sweep.accuracy_names import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
 from twin.sweep.names import check_front, check_metrics
 from twin.sweep.objects import named
