@@ -24,7 +24,9 @@ def test_blas_has_one_thread_unless_the_user_says_otherwise(
     """And as many as before afterwards, after an error too."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", said or "")
     with threadpool_limits(2, user_api="blas"):
-        with pytest.raises(ZeroDivisionError), one_blas_thread():
+        with one_blas_thread():
             assert threads() == ({2} if said else {1})
-            raise ZeroDivisionError
+        assert threads() == {2}
+        with pytest.raises(ZeroDivisionError):
+            one_blas_thread()(lambda: 1 / 0)()
         assert threads() == {2}
