@@ -33,6 +33,8 @@ _APART_M, _ALIKE, _LEAST_ERROR_M_PER_S = 3.5, 2.0, 0.3
 _ABOVE_M, _BELOW_M, _BESIDE_M = 0.6, 1.2, 0.4
 #: Distances at which a background is looked for, m, and the least that an object may come to.
 _BACKGROUNDS_M, _NEAREST_M = (5.0, 7.0, 10.0, 14.0, 20.0, 30.0), 0.5
+#: Distances of backgrounds closer together than this share are one.
+_APART_SHARE = 0.1
 #: Tracks whose velocity or place is less sure than this say nothing.
 _MOST_ERROR_M, _MOST_ERROR_M_PER_S = 1.0, 2.0
 #: What an object moves by in half a frame, at least, cells.
@@ -91,8 +93,10 @@ class MotionOfTracks:
         view = _view(rig, mounted, 5e-10 * (end - begin))
         tracks, untold = self._tracks_at(begin, middle, end)
         shape = record.patterns.rows, record.patterns.columns
-        objects = _sightings(tracks, view, angles, shape)
-        backgrounds = _backgrounds(view, angles) if rig.moves else ()
+        sure = [one for one in tracks if _is_sure(one)]
+        objects = _sightings([one for one in sure if not _stands(one)], view, angles, shape)
+        standing = [one for one in sure if _stands(one)]
+        backgrounds = _backgrounds(standing, view, angles) if rig.moves else ()
         found = motion_by_sightings(record, backgrounds, objects)
         proposal = Proposal(rig, len(tracks), min(len(objects), MOST_OBJECTS), untold)
         return found, told(found, proposal, view.velocity_m_per_s)
@@ -164,6 +168,19 @@ def _alike(one: TargetTrack, other: TargetTrack) -> bool:
     return bool(np.hypot(*apart[:2]) < _APART_M and (np.abs(apart[2:]) < _ALIKE * error).all())
 
 
+def _is_sure(track: TargetTrack) -> bool:
+    errors = np.sqrt(np.diag(track.covariance))
+    return bool(errors[:2].max() < _MOST_ERROR_M and errors[2:].max() < _MOST_ERROR_M_PER_S)
+
+
+def _stands(track: TargetTrack) -> bool:
+    """Whether its velocity over the ground is none, within its errors: it is of the background,
+    and moves in the image as the rig's poses tell, better than the track does.
+    """
+    error = np.sqrt(np.diag(track.covariance)[2:] + _LEAST_ERROR_M_PER_S**2)
+    return bool((np.abs(track.state[2:]) < _ALIKE * error).all())
+
+
 def _sightings(
     tracks: Sequence[TargetTrack],
     view: _View,
@@ -171,12 +188,7 @@ def _sightings(
     shape: tuple[int, int],
 ) -> tuple[Sighting, ...]:
     """Groups of tracks as boxes in the image, the nearest first."""
-    sure = []
-    for track in tracks:
-        errors = np.sqrt(np.diag(track.covariance))
-        if errors[:2].max() < _MOST_ERROR_M and errors[2:].max() < _MOST_ERROR_M_PER_S:
-            sure.append(track)
-    found = [_sighting(group, view, field_rad, shape) for group in _groups(sure)]
+    found = [_sighting(group, view, field_rad, shape) for group in _groups(tracks)]
     seen = [one for one in found if one is not None]
     return tuple(sorted(seen, key=lambda one: one.motion.depth_m))
 
@@ -218,14 +230,30 @@ def _sighting(
     return Sighting(edges, plane, float(1 / np.sqrt(weights.sum())))
 
 
-def _backgrounds(view: _View, field_rad: tuple[float, float]) -> tuple[Motion, ...]:
-    """What stands still, at some distance."""
+def _backgrounds(
+    standing: Sequence[TargetTrack], view: _View, field_rad: tuple[float, float]
+) -> tuple[Motion, ...]:
+    """What stands still, at some distance, and at those of the tracks that do."""
     velocity = _three(-view.velocity_m_per_s)
     nearest = abs(velocity[0]) * view.half_s + _NEAREST_M
     turn = _three(view.turn_rad_per_s)
     return tuple(
-        PlaneMotion(depth, velocity, field_rad, turn) for depth in _BACKGROUNDS_M if depth > nearest
+        PlaneMotion(depth, velocity, field_rad, turn)
+        for depth in _distances(standing, view)
+        if depth > nearest
     )
+
+
+def _distances(standing: Sequence[TargetTrack], view: _View) -> list[float]:
+    """Along the boresight, ascending, a share of each apart."""
+    back = view.pose.rotation.inv()
+    places = [[*one.state[:2], view.pose.z_m] for one in standing]
+    told = back.apply(np.array(places).reshape(-1, 3) - view.pose[:3])[:, 0].tolist()
+    found: list[float] = []
+    for depth in sorted([*_BACKGROUNDS_M, *(one for one in told if one < _BACKGROUNDS_M[-1])]):
+        if not found or depth > (1 + _APART_SHARE) * found[-1]:
+            found.append(depth)
+    return found
 
 
 def _three(vector: Array) -> tuple[float, float, float]:

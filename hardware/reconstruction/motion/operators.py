@@ -187,11 +187,12 @@ class WarpedPatterns:
         found = np.zeros((len(some), self.grid.shape[0] * self.grid.shape[1]))
         for at, weight in zip((self._before, self._after), self._weights, strict=True):
             for instant in np.unique(at[:, some]):
-                term, row = np.nonzero(at[:, some] == instant)
-                walsh = hadamard_rows(self._timed.rows[term, some[row]], n_cells)
-                weighted = weight[term, some[row], None] * walsh
                 part = self._back[:, instant * n_cells : (instant + 1) * n_cells]
-                np.add.at(found, row, (part @ weighted.T).T)
+                for term, now in enumerate(at[:, some] == instant):
+                    row = np.flatnonzero(now)  # each once, as `numpy.add.at` would be slow
+                    walsh = hadamard_rows(self._timed.rows[term, some[row]], n_cells)
+                    weighted = weight[term, some[row], None] * walsh
+                    found[row] += (part @ weighted.T).T
         if self._timed.centred:
             found -= self._mean
         return found.reshape(-1, *self.grid.shape)

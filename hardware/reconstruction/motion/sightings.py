@@ -27,6 +27,8 @@ from hardware.records import SpiRecord
 EVIDENCE, _EACH = 30.0, 5.0
 #: Share of a box that an edge is moved by, outwards and inwards, in each round.
 _ROUNDS = (0.3, 0.3, 0.12, 0.06)
+#: Shares of its distance that a background is moved by, to and fro.
+_DISTANCES = (0.2, 0.1, 0.05)
 #: Objects that are looked at, the nearest first.
 MOST_OBJECTS = 6
 
@@ -135,6 +137,8 @@ def supported_motion(
     search, objects = _Search(evidence, part), sightings[:MOST_OBJECTS]
     behind = min(backgrounds, key=lambda one: search.cost(one, objects), default=REST)
     objects = search.fitted(behind, objects)
+    behind = min((behind, *backgrounds), key=lambda one: search.cost(one, objects))
+    behind = search.placed(behind, objects)
     found = search.believed(behind, objects)
     if found.motion is None or whole is None:
         return found
@@ -170,6 +174,15 @@ class _Search:
         boxes = tuple(one.box() for one in objects)
         motion = Layers(behind, boxes) if boxes else behind
         return SupportedMotion(motion, gain, len(boxes), asked=asked)
+
+    def placed(self, behind: Motion, objects: tuple[Sighting, ...]) -> Motion:
+        """A background at the distance that fits better, with the objects as they are."""
+        for share in _DISTANCES if isinstance(behind, PlaneMotion) else ():
+            assert isinstance(behind, PlaneMotion)
+            depths = [behind.depth_m * part for part in (1.0, 1 + share, 1 / (1 + share))]
+            tried = [replace(behind, depth_m=depth) for depth in depths]
+            behind = min(tried, key=lambda one: self.cost(one, objects))
+        return behind
 
     def fitted(self, behind: Motion, objects: tuple[Sighting, ...]) -> tuple[Sighting, ...]:
         """Objects with edges and velocities that fit better, without those that explain nothing."""
