@@ -14,6 +14,7 @@ from hardware.errors import InputError
 from hardware.motion_of_tracks import MotionOfTracks
 from hardware.patterns import PatternSet, hadamard_rows
 from hardware.radar.tracking import TargetTrack
+from hardware.reconstruction.motion.sightings import SupportedMotion
 from hardware.recording import Received
 from hardware.recording.mounting import RADAR, SPI, Mounting, read_mounting
 from hardware.records import QuaternionPose, SpiRecord
@@ -177,6 +178,42 @@ def test_a_share_of_the_loss_is_regained(name: str) -> None:
     compensated = decibels(record, world, found.motion)
     print(f"{name}: {static:.2f} -> {compensated:.2f} of {rest:.2f} dB, {told}")
     assert compensated - static > SHARE[name] * (rest - static)
+
+
+def _proposed(
+    monkeypatch: pytest.MonkeyPatch, world: World, tracks: tuple[TargetTrack, ...]
+) -> tuple[list[float], list[float]]:
+    """Distances of the backgrounds and of the objects that are proposed of a frame."""
+    given: list[list[float]] = []
+
+    def unsearched(_: SpiRecord, backgrounds: tuple, sightings: tuple) -> SupportedMotion:
+        given.append([one.depth_m for one in backgrounds])
+        given.append([one.motion.depth_m for one in sightings])
+        return SupportedMotion(None, 0.0, 0)
+
+    monkeypatch.setattr("hardware.motion_of_tracks.motion_by_sightings", unsearched)
+    followed(world, frame(world), tracks)
+    return given[0], given[1]
+
+
+def test_what_stands_is_the_background_at_its_distance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two tracks 8.4 and 6 m away, at the frame's middle, the far one stands within its errors.
+
+    The place of the near one is told 0.05 s before the middle or later: it moves by some cm.
+    """
+    world = World(rig_m_per_s=4.0, has_board=False)
+    tracks = _false((8.4, 0.3, 0.1, -0.2), (6.0, 0.0, 0.0, 1.5))
+    distances, objects = _proposed(monkeypatch, world, tracks)
+    assert min(abs(one - 8.4) for one in distances) < 0.3
+    assert objects == [pytest.approx(6.0, abs=0.3)]
+    assert distances == sorted(distances)
+
+
+def test_what_moves_is_no_background(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(rig_m_per_s=4.0, has_board=False)
+    distances, objects = _proposed(monkeypatch, world, _false((8.4, 0.3, 0.0, 1.5)))
+    assert distances == [5.0, 7.0, 10.0, 14.0, 20.0, 30.0]
+    assert len(objects) == 1
 
 
 def _false(*states: tuple[float, ...], error: float = 0.1) -> tuple[TargetTrack, ...]:
