@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,18 @@ from twin.scene.boxes import boxes_of
 
 Array = NDArray[np.float64]
 
+#: The last one from a radar of every object, which is the same until the object or the radar moves,
+#: and the place of that radar.
+_from_radar: WeakKeyDictionary[SceneObject, tuple[bytes, Outline]] = WeakKeyDictionary()
+
 
 @dataclass(frozen=True, eq=False)
 class Screens:
     """Obstacles of a prepared scene, (n, ...), and their bounding spheres, relative to its anchor.
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
-    least amplitude of a diffracted path, over the direct wave, that is kept; ``from_radar`` are
-    outlines that were asked for from there, by obstacle, and ``rims`` by source.
+    least amplitude of a diffracted path, over the direct wave, that is kept; ``rims`` are outer
+    rims that were asked for, by source.
     """
 
     prepared: PreparedScene
@@ -29,7 +34,6 @@ class Screens:
     body: NDArray[np.int32]
     boxes: Array
     faintest: float
-    from_radar: dict[int, Outline] = field(default_factory=dict)
     rims: dict[bytes, OuterRims] = field(default_factory=dict)
 
     @cached_property
@@ -53,9 +57,11 @@ class Screens:
         """That of an obstacle from a place relative to the anchor."""
         if not np.array_equal(place, self.prepared.images[0].place):
             return outline(self.items[item], place + self.prepared.anchor_m)
-        if item not in self.from_radar:
-            self.from_radar[item] = outline(self.items[item], place + self.prepared.anchor_m)
-        return self.from_radar[item]
+        one, place_m = self.items[item], place + self.prepared.anchor_m
+        held = _from_radar.get(one)
+        if held is None or held[0] != place_m.tobytes():
+            held = _from_radar[one] = place_m.tobytes(), outline(one, place_m)
+        return held[1]
 
     def rim(self, item: int, source: Array, reach_m: float, own: int = -1) -> Outline:
         """Of an obstacle's outline what is on the outline of all that stands close to it, but for

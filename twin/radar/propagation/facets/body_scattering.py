@@ -106,13 +106,28 @@ def scattered_by(
     floor
         Amplitude below which no error counts.
     valid
-        What holds of an earlier frame: all else is found, and joined with that. Where the level of
-        a body, or of 40 dB below the strongest, is lower than then by more than `LEAST_FALL`, and
-        the error of what is kept of the body, what was left out of it included, exceeds the
-        tolerance now, all is found anew.
+        What holds of an earlier frame: all else is found, and joined with that. Bodies of which too
+        much was left out for their present levels (`_fell`) are found anew, with all ray tubes that
+        light them.
     with_footprints
         Whether footprints are stored, so that later frames may reuse these echoes.
     """
+
+    def without(fell: NDArray[np.bool_]) -> TracedEchoes:
+        assert valid is not None
+        return scattered_by(
+            context,
+            scatterers,
+            images,
+            wave_numbers,
+            tolerance,
+            bounces,
+            floor,
+            valid.without(fell),
+            by_images=by_images,
+            has_more_images=has_more_images,
+        )
+
     count = int(scatterers.body.max()) + 1
     facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
     tally, most = None, bounces or MOST_BOUNCES
@@ -161,6 +176,8 @@ def scattered_by(
         spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
         tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
+    if valid is not None and (fell := _fell(valid, coarse.level, tolerance)).any():
+        return without(fell)
     found = whole, tubes
     if tally is not None:
         search = search.within(tally.limits(coarse.level))
@@ -193,17 +210,8 @@ def scattered_by(
     leaves = list(_portioned([_worth_it(part, budget) for part in parts]))
     error = budget.accepted
     if valid is not None:
-        fallen = valid.level > LEAST_FALL * budget.level
-        if (fallen & (valid.error > tolerance * budget.level)).any():
-            parameters = wave_numbers, tolerance, bounces, floor
-            return scattered_by(
-                context,
-                scatterers,
-                images,
-                *parameters,
-                by_images=by_images,
-                has_more_images=has_more_images,
-            )
+        if (fell := _fell(valid, budget.level, tolerance)).any():
+            return without(fell)
         error = np.hypot(error, valid.error)
     contributions = [contributions_of(context, scatterers, part) for part in leaves]
     return TracedEchoes(
@@ -219,6 +227,15 @@ def scattered_by(
         n_reused=0 if valid is None else len(valid.contributions),
         choice=_choice(tally, search.limits, budget, valid),
     )
+
+
+def _fell(valid: Valid, level: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Bodies whose level is so much lower than in the earlier frame that the error of what is kept
+    of them, with what was left out, exceeds the tolerance, (n_bodies,).
+    """
+    fell: NDArray[np.bool_] = valid.level > LEAST_FALL * level
+    fell &= valid.error > tolerance * level
+    return fell
 
 
 def _leaves_out_too_much(tally: Tally, limits: Limits, budget: Budget) -> NDArray[np.bool_]:

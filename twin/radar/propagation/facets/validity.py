@@ -8,16 +8,16 @@ receiver. The images, and the facets reachable from them, must also be the same.
 traced anew, with the errors that the level of every body now allows.
 
 What the earlier frame left out, or did not divide further, was small relative to the levels then.
-Where levels have fallen since and the accepted error is now beyond the tolerance, `scattered_by`
-traces everything anew.
+Of bodies whose levels have fallen since, so that the accepted error is now beyond the tolerance,
+`scattered_by` traces everything anew.
 
 Nothing is reused if the rig or its radar has moved; the tolerance or the number of bounces differs;
 objects were added, removed, renamed, reordered or given other facets; a mirror, or a wall that the
 radar sees through, has changed, or an object has become a mirror or is none any more; or the
-objects that changed need more than `MOST_BOXES` boxes.
+objects that changed need more than `MOST_BOXES` boxes; or hardly anything would be reused.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -55,6 +55,9 @@ Indices = NDArray[np.integer]
 
 MOST_BOXES = 24
 _MOST_COMPARED = 512
+#: Of an earlier frame's contributions: of fewer, finding the others takes as long as finding all.
+_WORTH_KEEPING = 0.03
+_FEW = 20_000  # contributions, up to which all that is valid is reused
 _MOVABLE = (ScatteringModel.OPTICS, ScatteringModel.OBSTACLE)
 
 
@@ -65,7 +68,8 @@ class Valid:
 
     To be traced anew, by image and facet (n_images, n_facets): ``paths`` between them, and ray
     ``tubes`` that begin there. ``spacing_m`` as in `TracedEchoes`; ``left_out`` of the present
-    bodies, of reflections that were not computed.
+    bodies, of reflections that were not computed. ``without`` some of the present bodies,
+    (n_bodies,): what is valid if everything of them is traced anew.
     """
 
     contributions: Contributions
@@ -76,6 +80,7 @@ class Valid:
     tubes: Mask
     spacing_m: tuple[float, float]
     left_out: Bounds | None
+    without: Callable[[Mask], "Valid | None"]
 
 
 def still_valid(
@@ -84,8 +89,11 @@ def still_valid(
     earlier: TracedFrame,
     now: Setting,
     prepared: PreparedScene,
+    again: Mask | None = None,
 ) -> Valid | None:
-    """What is still valid; None if nothing can be."""
+    """What is still valid; None if nothing can be. ``again``: present bodies, (n_bodies,), of which
+    everything is traced anew.
+    """
     before, echoes = earlier.setting, earlier.echoes
     if before is None or echoes is None or not echoes.sums:
         return None  # nothing scattered
@@ -98,9 +106,12 @@ def still_valid(
     if len(boxes) > MOST_BOXES:
         return None
     image = _numbers_of(before.images, now.images)
+    if again is None:
+        again = np.zeros(int(now.body.max(initial=0)) + 1, dtype=bool)
+    changed |= (now.body >= 0) & again[now.body]
     differs = _differs(before, now, image)
     paths, tubes = differs | changed[now.owner], np.zeros_like(differs)
-    if len(boxes):
+    if changed.any():
         mirrored_boxes = as_mirrored(oriented(boxes), now.images, prepared.flats)
         _cross(context, scatterers, now, mirrored_boxes, paths, tubes)
         tubes |= paths
@@ -125,10 +136,12 @@ def still_valid(
     is_direct = now.reachable & scatterers.counts & (before.body[before.owner] >= 0)
     direct_paths = np.nonzero(is_direct & ~paths)[1], np.nonzero(is_direct)[1]
     error, level, left_out = _of_bodies(before, echoes, now, changed, direct_paths, sums)
+    contributions = list(map(holding, echoes.contributions, echoes.is_direct))
+    total = sum(map(len, echoes.contributions))
+    if total > _FEW and sum(map(len, contributions)) < _WORTH_KEEPING * total:
+        return None
     return Valid(
-        contributions=Contributions.concatenate(
-            list(map(holding, echoes.contributions, echoes.is_direct))
-        ),
+        contributions=Contributions.concatenate(contributions),
         sums=sums,
         error=error,
         level=level,
@@ -136,6 +149,7 @@ def still_valid(
         tubes=tubes,
         spacing_m=echoes.spacing_m,
         left_out=left_out,
+        without=lambda more: still_valid(context, scatterers, earlier, now, prepared, again | more),
     )
 
 
