@@ -79,7 +79,7 @@ def open_source(
     if colon and not scheme.startswith("/") and not rest.startswith("//"):
         raise SourceError(f"{url}: no installed package offers {scheme}:")
     if settings is None:
-        raise SourceError(f"{url}: a camera needs settings")
+        raise SourceError(f"{url}: a camera needs settings (a TOML file of patterns and times)")
     return _camera(url, settings, over)
 
 

@@ -5,6 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
+
 Array = NDArray[np.float64]
 
 #: Blackman-Harris, minimum 4-term (Harris, Proc. IEEE 66, 1978): which every burst needs.
@@ -25,7 +27,11 @@ def normalised_window(name: str, size: int) -> Array:
     else:
         from scipy.signal import get_window
 
-        window = get_window(name, size, fftbins=False)
+        try:
+            window = get_window(name, size, fftbins=False)
+        except ValueError as error:
+            expected = "expected a name that scipy.signal.get_window knows"
+            raise InputError(f"window: {name!r}: {expected}") from error
     window = np.asarray(window / window.mean(), dtype=np.float64)
     window.setflags(write=False)
     return window

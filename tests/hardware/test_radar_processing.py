@@ -22,6 +22,7 @@ from radar_cubes import (
 )
 from scipy import stats
 
+from hardware.errors import InputError
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.angles import compensate_motion, direction
 from hardware.radar.burst import demodulate, tdm_schedule
@@ -33,6 +34,7 @@ from hardware.radar.process import Processing, frames, process
 from hardware.radar.screening import candidate_cells
 from hardware.radar.stitching import stitch
 from hardware.radar.superresolution import resolve
+from hardware.radar.windows import normalised_window
 from hardware.records import Flag
 
 
@@ -203,6 +205,11 @@ def test_an_empty_scene_gives_detections_at_the_asked_rate() -> None:
 
 
 # Errors.
+
+
+def test_a_window_that_scipy_does_not_know_is_an_error() -> None:
+    with pytest.raises(InputError, match="window: 'hnan': expected a name"):
+        normalised_window("hnan", 64)
 
 
 @pytest.mark.parametrize("window", ["hann", "blackmanharris"])

@@ -141,6 +141,8 @@ def test_the_papers_table_is_another_view(monkeypatch, capsys) -> None:
     assert "Table 1: shortest T for SNR 1" in printed
     for arguments, expected in (
         (("--system", "workable", "--whole-line"), "--table-1"),
+        (("--distances", "2"), "--distances, --reflectances: the paper's table has none"),
+        (("--table-1", "--reflectances", "0.5"), "the paper's table has none"),
         (("--system", "workable", "--distances", "1,x"), "distances: '1,x': expected a number"),
         (("--system", "workable", "--reflectances", "1.2"), "expected numbers up to 1"),
     ):

@@ -1,5 +1,6 @@
 """What a sweep says of its points: void, warned of, failed; and what nothing depends on."""
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -234,6 +235,17 @@ def test_a_parameter_without_effect_is_said(tmp_path: Path) -> None:
     head = 'model = "closed-form"\nmetrics = ["signal_e_per_s"]\n'
     summary = run_sweep(write(tmp_path, text, head), out=tmp_path / "out")
     assert summary.without_effect == ("system.readout.read_noise_e",)
+
+
+def test_a_study_without_metrics_or_values_says_what_is_expected(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    for text, told in (
+        ("metrics = []", "metrics = (): expected at least 1 of them"),
+        ('metrics = ["snr_median"]\n[grid]\n"link.distance_m" = []', "expected at least 1 of them"),
+    ):
+        path.write_text(f'scene = "table1"\n{text}\n')
+        with pytest.raises(InputError, match=re.escape(told)):
+            load_study(path)
 
 
 def test_a_misspelt_metric_is_an_error_in_python_too() -> None:

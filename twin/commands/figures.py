@@ -21,8 +21,12 @@ def budget(
     system: Annotated[
         str | None, typer.Option(help="Bundled system or TOML file; none: the paper's Table 1.")
     ] = None,
-    distances: Annotated[str, typer.Option(help="Of the wall, m, with commas.")] = "2,5,10",
-    reflectances: Annotated[str, typer.Option(help="Of the wall, with commas.")] = "0.2,0.5,0.8",
+    distances: Annotated[
+        str | None, typer.Option(help="Distances of the wall, m, with commas; default 2,5,10.")
+    ] = None,
+    reflectances: Annotated[
+        str | None, typer.Option(help="Reflectances of the wall, with commas; default 0.2,0.5,0.8.")
+    ] = None,
     table_1: Annotated[
         bool, typer.Option("--table-1", help="The paper's sensors in place of the system's own.")
     ] = False,
@@ -42,13 +46,15 @@ def budget(
     of_table_1 = table_1 or system is None
     if not of_table_1 and (whole_line or before_lens):
         raise InputError("--whole-line, --filter-before-lens: are of the paper's table: --table-1")
+    if of_table_1 and (distances, reflectances) != (None, None):
+        raise InputError("--distances, --reflectances: the paper's table has none: --system NAME")
     design = load_system(system or "paper")
     if of_table_1:
         write = _table_1(say, design, whole_line=whole_line, filter_before_lens=before_lens)
         concerned = {"emitter", "filter", "optics", "sky"}
     else:
-        z = _numbers("distances", distances, "m")
-        rho = _numbers("reflectances", reflectances, None, most=1.0)
+        z = _numbers("distances", distances or "2,5,10", "m")
+        rho = _numbers("reflectances", reflectances or "0.2,0.5,0.8", None, most=1.0)
         write = _own_design(say, design, z, rho)
         concerned = {name.split(".")[0] for name, _ in design.values()}
     assumed = [said for name, said in design.assumed() if name.split(".")[0] in concerned]

@@ -19,6 +19,7 @@ _EXPECTED = {
     "int_from_float": "a whole number",
     "bool_type": "true or false",
     "string_type": "text",
+    "too_short": "at least {min_length} of them",
 }
 
 _NONE: Mapping[str, Sequence[str]] = MappingProxyType({})
