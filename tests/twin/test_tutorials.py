@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from twin.files import InputError
+from twin.serve.serving import Address, check_ports, parse_address
+
 ROOT = Path(__file__).parents[2]
 HOWTO = ("fits", "materials", "camera_settings", "motion", "systems")
 QUICK = ("tutorials/*_*", *(f"howto/{name}" for name in HOWTO))
@@ -74,11 +77,24 @@ def environment(tmp_path: Path) -> dict[str, str]:
     return {**os.environ, "PATH": path, "PYTHONPATH": f"{ROOT}{os.pathsep}."}
 
 
+def test_the_ports_of_a_page_as_it_stands_do_not_collide() -> None:
+    """The test of the whole page takes free ports in their place, so it would not see that the
+    camera's is one of the radar's three.
+    """
+    text = (ROOT / "docs" / "tutorials" / "drive_a_device.md").read_text()
+    camera, radio = (
+        parse_address(re.findall(rf"--{name}-at (tcp:\S+)", text)[0]) for name in ("spi", "radar")
+    )
+    check_ports(camera, radio)
+    with pytest.raises(InputError, match="the radar uses the ports 5555 to 5557"):
+        check_ports(Address("127.0.0.1", 5556), Address("127.0.0.1", 5555))
+
+
 @pytest.mark.whole
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_runs(page: Path, tmp_path: Path, environment: dict[str, str]) -> None:
     text = page.read_text()
-    for port in ("5555", "5556"):
+    for port in ("5550", "5555"):
         text = text.replace(f":{port}", f":{free_port()}")
     folder = tmp_path / "user"
     folder.mkdir()

@@ -25,13 +25,13 @@ def serve(
     system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
     radar: Annotated[str, typer.Option(help="The radar: bundled design or TOML.")] = "prototype",
     spi_at: Annotated[
-        str | None, typer.Option(help="Where the camera sits: pty, or tcp:HOST:PORT.")
+        str | None, typer.Option(help="Where the camera listens: pty, or tcp:HOST:PORT.")
     ] = None,
     radar_at: Annotated[
-        str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT.")
+        str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT, and the next two ports.")
     ] = None,
     pace: Annotated[
-        str, typer.Option(help="real: device time is the host's; fast: it never waits.")
+        str, typer.Option(help="real: devices take as long as real ones; fast: they never wait.")
     ] = "real",
     pose: PoseOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
@@ -47,7 +47,7 @@ def serve(
         int,
         typer.Option(
             min=1,
-            help="Sweeps traced together: of the first echoes are kept whose paths did not change.",
+            help="Sweeps traced together: later ones reuse echoes of the first on unchanged paths.",
         ),
     ] = 1,
     fidelity: FidelityOption = None,
@@ -63,14 +63,14 @@ def serve(
     spi: Annotated[str | None, typer.Option(hidden=True)] = None,
     design: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Virtual devices: the twin behind the devices' own protocols, until interrupted."""
+    """Serve virtual devices: the twin behind the devices' own protocols, until interrupted."""
     from typing import get_args
 
     from twin.files import InputError
     from twin.radar import load_radar
     from twin.scene import load_scene, parse_pose
     from twin.serve.clock import Pace
-    from twin.serve.serving import parse_address, run, serve_camera, serve_radar
+    from twin.serve.serving import check_ports, parse_address, run, serve_camera, serve_radar
     from twin.serve.world import SharedWorld
 
     if pace not in get_args(Pace):
@@ -90,6 +90,8 @@ def serve(
     how: Pace = "real" if pace == "real" else "fast"
     camera_address = parse_address(spi_at) if spi_at not in (None, "pty") else None
     radio_address = parse_address(radar_at) if radar_at is not None else None
+    if camera_address is not None and radio_address is not None:
+        check_ports(camera_address, radio_address)
     for address in (camera_address, radio_address):
         if address is not None and not address.loopback:
             say.warn(f"{address.host}: whoever reaches it can use it")

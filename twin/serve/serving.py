@@ -58,6 +58,15 @@ def parse_address(text: str) -> Address:
     return address
 
 
+def check_ports(camera: Address, radio: Address) -> None:
+    """Raise InputError where the camera's port is one of the three that the radio uses."""
+    if camera.host == radio.host and 0 <= camera.port - radio.port <= 2:
+        raise InputError(
+            f"--spi-at: port {camera.port}: the radar uses the ports {radio.port} to "
+            f"{radio.port + 2}, expected another one"
+        )
+
+
 @dataclass(frozen=True)
 class ServedDevice:
     """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
