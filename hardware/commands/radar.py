@@ -22,21 +22,25 @@ if TYPE_CHECKING:
     from hardware.waveform import OfdmWaveform
 
 Record = Annotated[Path, typer.Argument(help="Record of a radar (HDF5).")]
-FalseAlarm = Annotated[float | None, typer.Option(help="Probability per cell; default 1e-8.")]
-CfarMethod = Annotated[str | None, typer.Option("--cfar", help="ca, go or os.")]
+FalseAlarm = Annotated[
+    float | None, typer.Option(help="Probability of a false alarm per cell; default 1e-8.")
+]
+CfarMethod = Annotated[str | None, typer.Option("--cfar", help="Kind of CFAR: ca, go or os.")]
 ClutterShape = Annotated[
     str | None,
-    typer.Option(help="Of K-distributed clutter, or `fitted` to each map; default inf: noise."),
+    typer.Option(
+        help="Shape of K-distributed clutter, or `fitted` to each map; default inf: noise."
+    ),
 ]
 DetectionOption = Annotated[
-    str | None, typer.Option(help="Your own in place of CFAR: file.py:function.")
+    str | None, typer.Option(help="Your own detection in place of CFAR: file.py:function.")
 ]
-Window = Annotated[str | None, typer.Option(help="SciPy's name of a window.")]
-Resolve = Annotated[bool, typer.Option(help="Split targets nearer than a cell.")]
+Window = Annotated[str | None, typer.Option(help="Window, by its name in scipy.signal.")]
+Resolve = Annotated[bool, typer.Option(help="Separate targets within one cell.")]
 MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
 MaxAge = Annotated[
     float,
-    typer.Option(help="Days after which a calibration is refused.", parser=quantity_of("d")),
+    typer.Option(help="Age at which a calibration is refused, days.", parser=quantity_of("d")),
 ]
 
 
@@ -91,7 +95,9 @@ def detect(
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
     detection: DetectionOption = None,
-    calibration: Annotated[Path | None, typer.Option(help="From `ugv calibrate radar`.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="File that `ugv calibrate radar` wrote.")
+    ] = None,
     max_age: MaxAge = 30.0,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write; default RECORD-detections.csv.")
@@ -210,23 +216,24 @@ def spectrogram(
     record: Annotated[Path, typer.Argument(help="Record of a radar (HDF5), or a log (MCAP).")],
     *,
     at: Annotated[
-        float, typer.Option("--at", help="Range that is looked at, m.", parser=quantity_of("m"))
+        float, typer.Option("--at", help="Range of the spectrogram, m.", parser=quantity_of("m"))
     ],
     span: Annotated[
         float,
         typer.Option(
-            help="Of ranges about it, of which the strongest counts.", parser=quantity_of("m")
+            help="Width of the ranges around it, of which the strongest is used, m.",
+            parser=quantity_of("m"),
         ),
     ] = 0.0,
     receding: Annotated[
         float,
         typer.Option(
-            help="By how much that range grows, over several bursts.", parser=quantity_of("m/s")
+            help="Rate at which that range grows from burst to burst.", parser=quantity_of("m/s")
         ),
     ] = 0.0,
     burst: Annotated[
         int | None,
-        typer.Option(min=0, help="Within one burst; default the first, of a log over all."),
+        typer.Option(min=0, help="Show one burst; default: the first of a record, all of a log."),
     ] = None,
     window_slots: Annotated[
         int | None,

@@ -62,7 +62,7 @@ def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> N
     rows = designs_on_front(open_sweep(swept), *METRICS).rows
     shown = CliRunner().invoke(app, words, catch_exceptions=False)
     assert shown.exit_code == 0
-    assert f"{len(rows)} of 24 points are beaten by none" in shown.stdout
+    assert f"{len(rows)} of 24 points are on the Pareto front" in shown.stdout
     assert "3 mm" in shown.stdout
     document = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert [design["point"] for design in document["designs"]] == [row["point"] for row in rows]

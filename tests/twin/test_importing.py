@@ -46,7 +46,7 @@ def test_gltf_is_y_up_by_itself_and_parts_keep_their_names(robot, tmp_path: Path
     assert {o.name for o in loaded.objects} == {"base_plate", "mast"}
     vertices = np.vstack([o.vertices_m for o in loaded.objects])
     np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.005, 0.01, 0.022], atol=1e-8)
-    assert any("y taken as up, 0.01 m per unit" in note for note in notes)
+    assert any("y is up, 0.01 m per unit" in note for note in notes)
 
 
 def test_a_model_in_millimetres_is_told(robot, tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_every_material_and_colour_is_told(tmp_path: Path) -> None:
     notes = "\n".join(import_model(tmp_path / "two.glb", tmp_path / "scene", material="wood"))
     materials = {o.name: o.material for o in load_scene(tmp_path / "scene").objects}
     assert materials == {"part0": "painted_steel", "part1": "wood"}
-    assert "'Unobtainium' is not in the materials table, 'wood' taken (part1)" in notes
+    assert "'Unobtainium' is not in the materials table, 'wood' is used (part1)" in notes
     assert "visible colour 0.2, 0.4, 0.6 left out" in notes
     assert "metallic 1: taken as Lambertian (part0)" in notes
     assert "transparency: taken as opaque (part1)" in notes

@@ -20,21 +20,21 @@ SceneArgument = Annotated[
 ]
 PoseOption = Annotated[
     str | None,
-    typer.Option(help="Of the rig: x,y,z[,yaw[,pitch[,roll]]] in m and deg (x forward, z up)."),
+    typer.Option(help="Pose of the rig: x,y,z[,yaw[,pitch[,roll]]] in m and deg (z up)."),
 ]
 ToleranceOption = Annotated[
     str | None,
     typer.Option(
-        help="Error that the model may add, by bounds: a share of the sensors' own noise (0.2), "
-        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm), or some with "
+        help="Error that the model may have: a share of the sensors' own noise (0.2), or an error of "
+        "a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm); several with "
         "commas in between."
     ),
 ]
 FidelityOption = Annotated[
     str | None,
     typer.Option(
-        help="Fixed knobs: draft, standard or reference; default: light and echoes to a tolerance "
-        "of 0.2."
+        help="Fixed knobs: draft, standard or reference; default: knobs that follow from a "
+        "tolerance of 0.2."
     ),
 ]
 
@@ -43,7 +43,7 @@ WithinOption = Annotated[
     float | None,
     typer.Option(
         help="In place of a tolerance: time that a frame of each sensor may take on this machine, "
-        "once warm; the smallest tolerance that stays within it is taken.",
+        "after the first; the smallest tolerance that this time allows is used.",
         parser=quantity_of("s"),
     ),
 ]
@@ -52,8 +52,8 @@ WithinOption = Annotated[
 MotionOption = Annotated[
     str | None,
     typer.Option(
-        help="Error between instants within a camera's frame, over an exposure's noise; `none`: "
-        "nothing moves during a frame. Default: as the accuracy asked for has it."
+        help="Error of motion within a camera's frame, over an exposure's noise; `none`: nothing "
+        "moves during a frame. Default: half of the tolerance, or the preset's value."
     ),
 ]
 

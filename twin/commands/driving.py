@@ -22,11 +22,11 @@ def drive(
     say: Output,
     scene: SceneArgument,
     *,
-    out: Annotated[Path, typer.Option(help="Log to write (MCAP), or to go on with.")],
+    out: Annotated[Path, typer.Option(help="Log to write (MCAP), or to continue.")],
     duration: Annotated[
         float | None,
         typer.Option(
-            help="Of the drive; default as long as the scene's trajectories.",
+            help="Length of the drive; default that of the scene's trajectories.",
             parser=quantity_of("s"),
         ),
     ] = None,
@@ -34,24 +34,28 @@ def drive(
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     radar_period: Annotated[
         float,
-        typer.Option(help="From burst to burst of the radar.", parser=quantity_of("s")),
+        typer.Option(help="Time from burst to burst of the radar.", parser=quantity_of("s")),
     ] = 0.1,
     truth_period: Annotated[
         float,
         typer.Option(
-            help="Between samples of poses, twists and boxes beside those of frames and bursts.",
+            help="Time between samples of poses, twists and boxes, besides those at frames and bursts.",
             parser=quantity_of("s"),
         ),
     ] = 0.1,
     camera_offset: Annotated[
-        float, typer.Option(help="Of the camera's clock at the start.", parser=quantity_of("s"))
+        float,
+        typer.Option(help="Error of the camera's clock at the start.", parser=quantity_of("s")),
     ] = 0.0,
-    camera_drift_ppm: Annotated[float, typer.Option(help="Of the camera's clock.")] = 0.0,
+    camera_drift_ppm: Annotated[
+        float, typer.Option(help="Drift of the camera's clock, ppm.")
+    ] = 0.0,
     radar_offset: Annotated[
-        float, typer.Option(help="Of the radar's clock at the start.", parser=quantity_of("s"))
+        float,
+        typer.Option(help="Error of the radar's clock at the start.", parser=quantity_of("s")),
     ] = 0.0,
-    radar_drift_ppm: Annotated[float, typer.Option(help="Of the radar's clock.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    radar_drift_ppm: Annotated[float, typer.Option(help="Drift of the radar's clock, ppm.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 0,
     tolerance: ToleranceOption = None,
     fidelity: FidelityOption = None,
     within: WithinOption = None,

@@ -38,7 +38,7 @@ def budget(
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
 ) -> None:
-    """A system of one's own in closed form; without one, the paper's Table 1 and frame rates."""
+    """Signal, noise and SNR of a system in closed form, or the paper's Table 1 and frame rates."""
     from twin.files import InputError, check_out, whole_folder
     from twin.system import load_system
 
@@ -127,7 +127,7 @@ def safety(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     out: Annotated[Path | None, typer.Option(help="Folder for safety.json.")] = None,
 ) -> None:
-    """Margin to the exposure limits of the eye, beside the same light at 850 nm."""
+    """Margin to the exposure limits of the eye, compared with the same light at 850 nm."""
     from twin.budget.safety import print_safety, safety_content, safety_verdict, write_safety
     from twin.files import InputError, check_out, whole_folder
     from twin.optics.hazards import assumptions, hazards

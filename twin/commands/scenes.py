@@ -38,19 +38,21 @@ def run(
         str, typer.Option(help="Bundled system or TOML file; `none`: the radar alone.")
     ] = "workable",
     compare: Annotated[
-        str, typer.Option(help="System shown beside it; `none` for nothing.")
+        str, typer.Option(help="System to compare with; `none`: no comparison.")
     ] = "paper",
-    radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
+    radar: Annotated[
+        str, typer.Option(help="Bundled radar or TOML file; `none`: no radar.")
+    ] = "hybrid-79",
     pose: PoseOption = None,
     track: Annotated[
         str | None,
         typer.Option(help="Radar bursts along dx,dy,dz,count[,interval_s] (rig's frame, m, s)."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 0,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder to write; default runs/SCENE-SYSTEM and what is not the default."
+            help="Folder to write; default runs/SCENE-SYSTEM with the options that differ."
         ),
     ] = None,
     paths: Annotated[bool, typer.Option("--paths", help="List the radar's paths.")] = False,
@@ -63,23 +65,23 @@ def run(
     within: WithinOption = None,
     motion_tolerance: MotionOption = None,
     explain: Annotated[
-        bool, typer.Option("--explain", help="List what was modelled and what not, and why.")
+        bool, typer.Option("--explain", help="List which effects were modelled or not, and why.")
     ] = False,
     radar_model: Annotated[
         str | None,
         typer.Option(
-            help="targets, paths, optics, auto, rough or file.py:function, in place of fidelity's."
+            help="Model of the echoes: targets, paths, optics, auto, rough or file.py:function."
         ),
     ] = None,
     method: Annotated[
         str | None,
-        typer.Option(help="Reconstruction beside the bundled ones: a name or file.py:function."),
+        typer.Option(help="Reconstruction to add to the bundled ones: a name or file.py:function."),
     ] = None,
     detection: Annotated[
         str | None, typer.Option(help="Radar detection in place of CFAR: file.py:function.")
     ] = None,
 ) -> None:
-    """Scene to image and range-Doppler map: simulate, measure, process, write a report."""
+    """Simulate both sensors over a scene, process their records, write a report."""
     with loading():
         from twin.job import run as run_job
         from twin.radar import load_radar
@@ -175,14 +177,16 @@ def check(
     *,
     pose: PoseOption = None,
     system: Annotated[
-        str, typer.Option(help="Camera whose cells motion is told in; `none`.")
+        str, typer.Option(help="Camera whose cells motion is given in; `none`.")
     ] = "workable",
     radar: Annotated[
         str,
-        typer.Option(help="Radar whose cells motion is told in, and that needs materials; `none`."),
+        typer.Option(
+            help="Radar whose cells motion is given in, and whose materials are checked; `none`."
+        ),
     ] = "hybrid-79",
 ) -> None:
-    """Validate a scene: what it holds, what moves how fast, what the radar knows no values of."""
+    """Check a scene: objects, sizes, speeds, and materials without values for the radar."""
     from rich.table import Table
 
     from twin.scene import load_scene, parse_pose
@@ -259,20 +263,20 @@ def import_(
         ),
     ] = 1.0,
     up: Annotated[
-        str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, z else.")
+        str | None, typer.Option(help="The model's up axis, y or z; default y for glTF, else z.")
     ] = None,
     material: Annotated[
         str,
-        typer.Option(help="Row of materials.toml for parts whose own material is none."),
+        typer.Option(help="Row of materials.toml for parts without a known material."),
     ] = "generic",
     texture_as_reflectance: Annotated[
         bool,
         typer.Option(
-            "--texture-as-reflectance", help="Take visible pictures as reflectance at 1550 nm."
+            "--texture-as-reflectance", help="Use visible textures as reflectance at 1550 nm."
         ),
     ] = False,
 ) -> None:
-    """Turn a model file into a scene folder."""
+    """Import a model file as a scene folder."""
     from twin.scene.importing import import_model
 
     notes = import_model(

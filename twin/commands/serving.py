@@ -28,13 +28,14 @@ def serve(
         str | None, typer.Option(help="Where the camera listens: pty, or tcp:HOST:PORT.")
     ] = None,
     radar_at: Annotated[
-        str | None, typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT, and the next two ports.")
+        str | None,
+        typer.Option(help="Where the radar's radio listens: tcp:HOST:PORT; takes three ports."),
     ] = None,
     pace: Annotated[
         str, typer.Option(help="real: devices take as long as real ones; fast: they never wait.")
     ] = "real",
     pose: PoseOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 0,
     spi_fault: Annotated[
         list[str] | None,
         typer.Option(help="NAME=CHANCE per frame: drop, flip, stall, reset ...; repeatable."),

@@ -114,11 +114,19 @@ def _accuracy_asked(
 def show(
     say: Output,
     sweep: Annotated[Path, typer.Argument(help="Folder of a sweep.")],
-    metric: Annotated[str | None, typer.Option(help="What is drawn; default the first.")] = None,
-    x: Annotated[str | None, typer.Option(help="Parameter to the right.")] = None,
-    y: Annotated[str | None, typer.Option(help="Parameter upwards; none: a line.")] = None,
-    front: Annotated[str | None, typer.Option(help="Second metric: a Pareto front.")] = None,
-    void: Annotated[bool, typer.Option("--void", help="Draw points of void records too.")] = False,
+    metric: Annotated[
+        str | None, typer.Option(help="Metric to draw; default: the first of the study.")
+    ] = None,
+    x: Annotated[str | None, typer.Option(help="Parameter on the x axis.")] = None,
+    y: Annotated[
+        str | None, typer.Option(help="Parameter on the y axis; without it a line is drawn.")
+    ] = None,
+    front: Annotated[
+        str | None, typer.Option(help="Second metric: draw and list the Pareto front of both.")
+    ] = None,
+    void: Annotated[
+        bool, typer.Option("--void", help="Include points whose record is void.")
+    ] = False,
     csv: Annotated[
         Path | None, typer.Option(help="CSV file to write: designs on the front, else all points.")
     ] = None,
@@ -174,7 +182,7 @@ def _tell_sensitivities(
     shares = sensitivities(data, metric, void=void)
     ordered = sorted(shares.items(), key=lambda item: -item[1].first)
     for name, share in ordered:
-        say.verdict(f"{share}: {name}")
+        say.verdict(f"variance of {metric}, {share}: {name}")
     say.add(
         metric=metric,
         sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
@@ -254,7 +262,7 @@ def trade(
         ),
     ] = None,
     within: WithinOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of every random draw.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of every random draw.")] = 0,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder; default runs/trade-SCENE-SYSTEM and what is not the default."),

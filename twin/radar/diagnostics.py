@@ -137,8 +137,8 @@ def _not_followed(bursts: Sequence[Propagation]) -> list[str]:
             if decision.bound > known.bound:
                 worst[decision.effect] = decision
     return [
-        f"{decision.effect}: at most {decision.bound:.2g} {decision.unit} is left out, "
-        f"{decision.permitted:.2g} permitted; it is in the stated errors"
+        f"{decision.effect}: not computed; at most {decision.bound:.2g} {decision.unit}, where "
+        f"{decision.permitted:.2g} is permitted; the stated errors contain it"
         for decision in worst.values()
     ]
 
@@ -291,13 +291,13 @@ def _coarse(scene: Scene, radar: RadarDesign, propagation: Propagation) -> list[
         return []
     worst = int(np.argmax(shares))
     if shares[worst] > 1:
-        error = "whose facets answer one by one"
+        error = "whose facets reflect as separate plates"
     else:
-        error = f"whose echo is off by +/- {20 * np.log10(1 + shares[worst]):.1f} dB rms"
+        error = f"whose echo has an error of {20 * np.log10(1 + shares[worst]):.1f} dB rms"
     others = f" (and {coarse - 1} more, by less)" if coarse > 1 else ""
     text = (
-        "facets too coarse for the wavelength, where a smooth surface is meant: worst "
-        f"{items[worst].name}, {error}{others}: use finer meshes"
+        "facets are too coarse for the wavelength if they stand for a smooth surface: worst "
+        f"{items[worst].name}, {error}{others}; a finer mesh is more exact"
     )
     return [CaptureWarning("model", text)]
 

@@ -112,7 +112,7 @@ class ImportedBsdfs:
                 yield f"material {name!r} is row {row!r} of the materials table ({whose})"
             else:
                 what = f"material {name!r} is not in the materials table" if name else "no material"
-                yield f"{what}, {self.fallback!r} taken ({whose})"
+                yield f"{what}, {self.fallback!r} is used ({whose})"
         for what, parts in self.notes_of.items():
             yield f"{what} ({', '.join(parts)})"
         for name in self.pictures:

@@ -92,11 +92,11 @@ def import_model(
         (partial / "scene.xml").write_text(_xml(bsdf_of, materials.xml(), origin))
         (partial / "scene.toml").write_text(_toml(model, low, high))
     size = " x ".join(number(s) for s in high - low)
-    notes.append(f"{axis} taken as up, {scale:g} m per unit: the scene measures {size} m")
+    notes.append(f"{axis} is up, {scale:g} m per unit: the scene measures {size} m")
     if scale == 1 and (high - low).max() > _LIKELY_M:
         notes.append("a model in millimetres needs --scale 0.001")
     notes += [*materials.notes(), *missing_files(model)]
-    notes.append("rig placed in front of the model, looking at it: see scene.toml")
+    notes.append("the rig was placed in front of the model, looking at it: see scene.toml")
     return notes
 
 

@@ -54,14 +54,14 @@ class FrontDesigns:
         coarse = ""
         if self.n_coarse:
             coarse = (
-                f"; {self.n_coarse} of them to a coarse tolerance: name this front in the study"
+                f"; {self.n_coarse} of them were computed coarsely: name this front in the study"
             )
-        return f"{len(self.rows)} of {self.n_points} points are beaten by none{coarse}"
+        return f"{len(self.rows)} of {self.n_points} points are on the Pareto front{coarse}"
 
     @property
     def title(self) -> str:
         """Of the table."""
-        return f"{self.metrics[0]} and {self.metrics[1]}: designs that no other beats in both"
+        return f"Pareto front of {self.metrics[0]} and {self.metrics[1]}"
 
     @property
     def heads(self) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ class Share:
 
     def __str__(self) -> str:
         """Both orders with their errors."""
-        told = f"first {with_error(self.first, self.first_error)}"
+        told = f"first order {with_error(self.first, self.first_error)}"
         if np.isnan(self.total):
             return f'{told}, total: needs method = "saltelli"'
         return f"{told}, total {with_error(self.total, self.total_error)}"

@@ -84,7 +84,7 @@ def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = 
     axis.set_ylabel(_label(data[second]))
     left_out = _left_out(data, columns[0] + columns[1])
     known = np.isfinite(one + two).sum()
-    axis.set_title(f"{len(front)} of {known} points are beaten by none{left_out}", fontsize=10)
+    axis.set_title(f"{len(front)} of {known} points are on the Pareto front{left_out}", fontsize=10)
     axis.legend(frameon=False)
     return figure
 
