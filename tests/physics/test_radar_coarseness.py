@@ -22,7 +22,7 @@ from twin.radar.propagation.solvers import trace
 
 def coarse(*objects) -> list[str]:
     found = radar_capture(world(*objects), RADAR, fidelity=OPTICS)
-    return [line for line in found.warnings if "facets too coarse" in line]
+    return [line for line in found.warnings if "facets are too coarse" in line]
 
 
 def test_a_coarse_sphere_is_warned_of_and_a_fine_one_is_not() -> None:

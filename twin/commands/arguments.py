@@ -25,8 +25,8 @@ PoseOption = Annotated[
 ToleranceOption = Annotated[
     str | None,
     typer.Option(
-        help="Error that the model may have: a share of the sensors' own noise (0.2), or an error of "
-        "a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm); several with "
+        help="Error that the model may have: a share of the sensors' own noise (0.2), or an error "
+        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm); several with "
         "commas in between."
     ),
 ]

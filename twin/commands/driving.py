@@ -39,7 +39,7 @@ def drive(
     truth_period: Annotated[
         float,
         typer.Option(
-            help="Time between samples of poses, twists and boxes, besides those at frames and bursts.",
+            help="Time between samples of poses, twists and boxes; frames and bursts have more.",
             parser=quantity_of("s"),
         ),
     ] = 0.1,
