@@ -244,9 +244,9 @@ def frozen_warnings(
     if not over > 1:
         return ()
     text = (
-        f"what moves passes up to {number(change.cells_passed(duration), 2)} cells during a frame, "
-        f"which is taken as still: counts may be off by up to some {number(over, 2)} times their "
-        "noise: fidelity.motion_tolerance"
+        f"the scene moves by up to {number(change.cells_passed(duration), 2)} cells in a frame, "
+        f"which is taken as still: errors of counts up to some {number(over, 2)} times their "
+        "noise; fidelity.motion_tolerance models the motion"
     )
     return (CaptureWarning("tolerance", text),)
 

@@ -126,5 +126,5 @@ def drive(
     )
     say.written(out)
     if not done.complete:
-        say.warn("stopped; the same command goes on")
+        say.warn("the drive was stopped; the same command continues it")
         raise typer.Exit(130)
