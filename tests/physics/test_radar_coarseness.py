@@ -28,7 +28,7 @@ def coarse(*objects) -> list[str]:
 def test_a_coarse_sphere_is_warned_of_and_a_fine_one_is_not() -> None:
     """A sphere of 0.15 m at 79 GHz: 5 120 facets leave +/- 0.8 dB, 81 920 less than 0.1 dB."""
     (line,) = coarse(ball("sphere", (8.0, 0.0, 0.0), level=4))
-    assert re.search(r"worst sphere, whose echo is off by \+/- 0\.8 dB", line)
+    assert re.search(r"worst sphere, whose echo has an error of 0\.8 dB", line)
     assert coarse(ball("sphere", (8.0, 0.0, 0.0), level=6)) == []
     spheres = [ball(f"level {n}", (8.0, n - 4.0, 0.0), level=n) for n in (3, 4, 6)]
     (line,) = coarse(*spheres)
