@@ -88,7 +88,8 @@ def evaluate(
     method: str | Method | Solve | None = None,
 ) -> Evaluation:
     """Score reconstructions of a capture, by default those of `SHOWN` that fit in memory, and that
-    by ``method``, a bundled one or a user's own, see `hardware.reconstruct`.
+    by ``method``, a bundled one or a user's own, see `hardware.reconstruct`. They come back with
+    the highest PSNR first, whatever order they were given in: tell them by their `method`.
 
     Raises InputError for a reconstruction on another grid than the capture's.
 

@@ -115,13 +115,15 @@ class Prefetcher(Generic[_Item]):
 
 
 def _work(line: Connection, make: Callable[[int], Any]) -> None:
-    """Compute requested items until the connection is closed."""
-    _lower_priority()
+    """Compute requested items until the connection is closed; all but the first one, for which a
+    device that starts up waits, at low priority.
+    """
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
+        line.send(_attempt(make, line.recv()))
+        _lower_priority()
         while True:
-            number = line.recv()
-            line.send(_attempt(make, number))
+            line.send(_attempt(make, line.recv()))
     except (EOFError, OSError):
         pass
 
