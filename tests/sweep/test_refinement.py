@@ -297,4 +297,4 @@ def test_the_command_and_the_list_of_designs_tell_of_coarse_points(
     data = open_sweep(done.out).load()
     data["coarse"][:] = True
     told = designs_on_front(data, *FRONT).verdict
-    assert "of them to a coarse tolerance: name this front in the study" in told
+    assert "of them were computed coarsely: name this front in the study" in told
