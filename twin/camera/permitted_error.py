@@ -49,19 +49,19 @@ class PermittedError:
     fidelity: LightFidelity
 
     def of(self, cells: Array) -> Array:
-        """Where errors of the cells are independent, as those of finitely many paths are: in the
-        unit of the light of the cells, (n_detectors, n_cells); infinite where no light of a cell
-        passes to the detector and no cell has any.
+        """Permitted error of each cell, for errors that are independent from cell to cell, as those
+        of finitely many paths are: in the unit of the light of the cells, (n_detectors, n_cells);
+        infinite where no light of a cell passes to the detector and no cell has any.
 
-        Of fewer patterns than cells an image has less noise in a pixel, but also that part alone of
-        such errors: the root of the patterns per cell. What the patterns do not show of the light
-        the image is off by anyway, so that errors of the light that it is compared with matter less
-        beside it. The smaller of what both permit holds.
+        An image of M of N patterns has sqrt(M / N) of a full set's noise in a pixel, and holds the
+        same share of such errors: compared with its noise they may be larger by sqrt(N / M). But it
+        is also compared with the light itself, of which it lacks what the M patterns do not show:
+        the error stays a share of that and of the noise together. The smaller of both limits holds.
         """
         return self._permitted(cells, self._noise_of_independent(cells))
 
     def of_alike(self, cells: Array) -> Array:
-        """The same of errors that cells beside each other share, as those of light left out."""
+        """The same for errors that neighbouring cells share, such as light that is left out."""
         return self._permitted(cells, self.noise(cells))
 
     def _permitted(self, cells: Array, noise: Array) -> Array:

@@ -15,8 +15,8 @@ from twin.scene.boxes import boxes_of
 
 Array = NDArray[np.float64]
 
-#: The last one from a radar of every object, which is the same until the object or the radar moves,
-#: and the place of that radar.
+#: By object, as last seen from a radar: that radar's place and the outline. Both stay the same from
+#: frame to frame until the object or the radar moves.
 _from_radar: WeakKeyDictionary[SceneObject, tuple[bytes, Outline]] = WeakKeyDictionary()
 
 
