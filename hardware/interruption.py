@@ -1,4 +1,4 @@
-"""An orderly end on a signal: the first one asks for it, the next one acts at once."""
+"""Signals at a bad time: the first asks for an orderly end, or waits until a step is over."""
 
 import signal
 import threading
@@ -43,3 +43,25 @@ def asked_to_end() -> Iterator[threading.Event]:
         yield over
     finally:
         restore()
+
+
+@contextmanager
+def signals_deferred() -> Iterator[None]:
+    """SIGINT and the like take effect after this block, where an exception would do harm within.
+
+    Only those with a Python handler are deferred; in another thread than the main one none acts.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {n: h for n in _SIGNALS if callable(h := signal.getsignal(n))}
+    for number in before:
+        signal.signal(number, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in came:
+        signal.raise_signal(number)

@@ -4,6 +4,8 @@ import faulthandler
 import os
 import signal
 import sys
+import threading
+from types import FrameType
 
 import typer
 
@@ -12,6 +14,9 @@ from hardware.commands.output import version_option, with_output
 from twin import __version__
 from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
+
+_DELAY_S = 0.1
+_MOST_DELAYS = 100
 
 app = typer.Typer(
     name="twin",
@@ -72,7 +77,21 @@ def main() -> None:
     leave("twin", ended)
 
 
-def _interrupt(number: int, _: object) -> None:
-    """Remember the signal: libraries in between may turn the exception into another one."""
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Remember the signal: libraries in between may turn the exception into another one.
+
+    While a module is being loaded the signal is sent again a little later, for some ten seconds at
+    most: an exception that passes through a compiled library's registration aborts the process.
+    """
     interrupts.append(number)
-    raise KeyboardInterrupt
+    if len(interrupts) > _MOST_DELAYS or not _loads_a_module(frame):
+        raise KeyboardInterrupt
+    again = threading.Timer(_DELAY_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
+
+
+def _loads_a_module(frame: FrameType | None) -> bool:
+    while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
+        frame = frame.f_back
+    return frame is not None

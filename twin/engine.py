@@ -15,6 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
+from hardware.interruption import signals_deferred
 from twin.errors import EngineError
 
 __all__ = [
@@ -64,7 +65,8 @@ def sionna() -> ModuleType:
     """
     polarized = f"{_variant()}_polarized"
     _with_variant(polarized)
-    import sionna.rt as rt  # sets a variant of its own when first imported
+    with signals_deferred():
+        import sionna.rt as rt  # sets a variant of its own when first imported
 
     _with_variant(polarized)
     return rt
@@ -93,18 +95,19 @@ def _with_variant(name: str) -> ModuleType:
         raise EngineError(f"the working directory is gone ({error.strerror})") from error
     if name.startswith("llvm"):
         ensure_llvm()
-    import mitsuba as mi
+    with signals_deferred():  # an exception within registered code aborts the process
+        import mitsuba as mi
 
-    try:
-        mi.set_variant(name)
-    except ImportError as error:  # Dr.Jit's, where it finds no CUDA driver
-        if not name.startswith("cuda"):
-            raise
-        raise EngineError(
-            f"{name} can't be started: no CUDA driver that works; "
-            "TWIN_VARIANT=llvm_ad_mono computes on the CPU"
-        ) from error
-    mi.set_log_level(mi.LogLevel.Error)
+        try:
+            mi.set_variant(name)
+        except ImportError as error:  # Dr.Jit's, where it finds no CUDA driver
+            if not name.startswith("cuda"):
+                raise
+            raise EngineError(
+                f"{name} can't be started: no CUDA driver that works; "
+                "TWIN_VARIANT=llvm_ad_mono computes on the CPU"
+            ) from error
+        mi.set_log_level(mi.LogLevel.Error)
     return mi
 
 

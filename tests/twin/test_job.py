@@ -405,6 +405,29 @@ def test_ctrl_c_leaves_nothing_behind(after_s: float, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("library", ["drjit", "mitsuba"])
+def test_ctrl_c_while_a_library_registers_its_types(library: str, tmp_path: Path) -> None:
+    """An exception that passes through compiled code which can't let it pass aborts the process."""
+    interrupted = (
+        "import enum, os, signal, sys\n"
+        "plain = enum.EnumType.__setattr__\n"
+        "def interrupting(*args):\n"
+        f"    if {library!r} in sys.modules:\n"
+        "        enum.EnumType.__setattr__ = plain\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    plain(*args)\n"
+        "enum.EnumType.__setattr__ = interrupting\n"
+        "from twin.cli import main\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", interrupted, "run", "yard", "--out", str(tmp_path / "out")],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 130, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_help_is_quick() -> None:
     """Best of five below 0.3 s of the processor: no renderer, no plots, no NumPy behind it."""
     for command in (["-m", "twin", "--help"], ["-c", "import hardware"]):
