@@ -10,19 +10,23 @@ PIP_FLAGS := -q --disable-pip-version-check
 # Files of tests side by side: fixtures that a file shares are made once.
 TOGETHER := -n 2 --dist loadfile
 
-.PHONY: demo test test-vehicle test-slow test-peers test-browser test-whole lint docs docs-links notebooks bench extremes install clean
+.PHONY: demo test test-vehicle test-thorough test-slow test-peers test-browser test-whole lint docs docs-links notebooks bench extremes install clean
 
 demo: install
 	$(BIN)/twin run scenes/yard
 
 # What the vehicle's environment has run is not run again.
 test: install lint test-vehicle
-	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not browser and not whole and not vehicle'
+	$(BIN)/pytest $(TOGETHER) -m 'not slow and not peers and not browser and not whole and not thorough and not vehicle'
 
 # The vehicle's part, as a package, where the simulator is not installed.
 test-vehicle: $(VEHICLE)/.installed
 	$(VEHICLE)/bin/pip install $(PIP_FLAGS) --no-deps --no-build-isolation --force-reinstall .
 	cd tests/hardware && ../../$(VEHICLE)/bin/python -m pytest -c ../../pyproject.toml --rootdir ../.. -q $(TOGETHER) .
+
+# What takes long for a test: many variants, whole scenes, statistics of a minute.
+test-thorough: install
+	$(BIN)/pytest $(TOGETHER) -m 'thorough and not slow'
 
 # Long statistics.
 test-slow: install

@@ -111,6 +111,13 @@ def _with_variant(name: str) -> ModuleType:
     return mi
 
 
+def use_cores(share: float) -> None:
+    """Have the engine use a share of this process's cores, at least one."""
+    import drjit as dr
+
+    dr.set_thread_count(max(1, round(share * len(os.sched_getaffinity(0)))))
+
+
 @contextmanager
 def exr_threads() -> Iterator[None]:
     """Threads that Mitsuba needs to read and write OpenEXR: it waits for tasks in Dr.Jit's pool,

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.radar.process import Processing
@@ -16,10 +17,12 @@ from twin.camera.evaluation import Evaluation, evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
 from twin.camera.view import View, render_view
+from twin.child_process import Helper
+from twin.engine import use_cores
 from twin.errors import check_seed
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError, check_out
-from twin.progress import Stages
+from twin.progress import Stages, StageTimes
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import STAGES as RADAR_STAGES
 from twin.radar.evaluation import (
@@ -34,6 +37,10 @@ from twin.run_folder import default_folder, run_folder, settings_of
 from twin.scene import Pose, Scene, Track, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, Weather, load_system
+
+#: Triangles of a scene that two processes may hold.
+_MOST_TWICE = 1_000_000
+_Camera = tuple[View | None, tuple[Evaluation, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +74,7 @@ def run(
     method: str | Method | Solve | None = None,
     detection: str | Detect | None = None,
     command: str | None = None,
+    helper: Helper | None = None,
 ) -> Result:
     """Run both chains on a scene and write everything to a folder.
 
@@ -118,7 +126,8 @@ def run(
         raise InputError("system, radar: both are none, expected at least one of them")
     check_out(None if out is None else str(out))
     check_seed(seed)
-    solve, how = _own(method, detection)
+    solve = None if method is None else method_of(method)
+    how = Processing(detection=detection)
     knobs = knobs_of(fidelity, design.total_bandwidth_hz if design else None)
     with Stages(len(stage_names(systems, design, figures=figures))) as stages:
         with stages.stage("load"):
@@ -138,18 +147,20 @@ def run(
         )
         folder = default_folder(settings) if out is None else Path(out)
         with run_folder(folder, settings) as partial:
-            view: View | None = None
-            evaluations: tuple[Evaluation, ...] = ()
+            of_camera = (world, systems, seed, knobs, method)
+            apart = _asked(helper, *of_camera) if systems and design else None
+            view, evaluations = (None, ()) if apart else _camera(*of_camera, stages)
             echoes: RadarEvaluation | None = None
-            if systems:
-                view, evaluations = _compute(world, systems, seed, knobs, stages, solve)
-                first = evaluations[0].capture
-                write_truth(first.truth, partial / "truth.exr")
-                write_record(first.record, partial / "record.h5")
             if design:
                 weather = systems[0].weather if systems else None
                 echoes = _radar(world, design, weather, seed, knobs, stages, how)
                 _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
+            if apart:
+                view, evaluations = _answer(apart, stages)
+            if evaluations:
+                first = evaluations[0].capture
+                write_truth(first.truth, partial / "truth.exr")
+                write_record(first.record, partial / "record.h5")
             write_summary(view, evaluations, echoes, partial)
             if figures:
                 with stages.stage("figures"):
@@ -173,31 +184,27 @@ def stage_names(
     return [*names, *(["figures"] if figures else []), "charts"]
 
 
-def _own(
-    method: str | Method | Solve | None, detection: str | Detect | None
-) -> tuple[Method | None, Processing]:
-    """What the vehicle does with the records. Raises InputError."""
-    solve = None if method is None else method_of(method)
-    return solve, Processing(detection=detection)
-
-
-def _compute(
+def _camera(
     scene: Scene,
     systems: Sequence[System],
     seed: int,
     fidelity: Fidelity,
-    stages: Stages,
-    method: Method | None,
-) -> tuple[View, tuple[Evaluation, ...]]:
+    method: str | Method | Solve | None,
+    stages: StageTimes,
+) -> _Camera:
+    """What every system sees; of none, nothing."""
+    if not systems:
+        return None, ()
     with stages.stage("scene"):
         rendered = mitsuba_scene(scene)
+    solve = None if method is None else method_of(method)
     evaluations = []
     for system in systems:
         taken = capture(
             scene, system, seed=seed, fidelity=fidelity, mesh_scene=rendered, stage=stages.stage
         )
         with stages.stage("reconstruction"):
-            evaluations.append(evaluate(system, taken, method=method))
+            evaluations.append(evaluate(system, taken, method=solve))
     with stages.stage("view"):
         first = evaluations[0]
         intensity = first.system.emitter.radiant_intensity_w_per_sr.value
@@ -208,6 +215,38 @@ def _compute(
             seed=seed,
         )
     return view, tuple(evaluations)
+
+
+def _asked(helper: Helper | None, scene: Scene, *others: Any) -> Helper | None:
+    """The helper, if it now computes the camera; else None."""
+    if helper is None or scene.triangles > _MOST_TWICE:
+        return None
+    if not helper.ask(_camera_apart, scene, *others):
+        return None
+    use_cores(1 / 2)
+    return helper
+
+
+def _camera_apart(
+    scene: Scene,
+    systems: Sequence[System],
+    seed: int,
+    fidelity: Fidelity,
+    method: str | Method | Solve | None,
+) -> tuple[_Camera, dict[str, float]]:
+    """In the helper: what `_camera` gives, and the time in s of its stages."""
+    use_cores(1 / 2)
+    times = StageTimes()
+    return _camera(scene, systems, seed, fidelity, method, times), times.seconds
+
+
+def _answer(helper: Helper, stages: Stages) -> _Camera:
+    """What the helper has computed."""
+    found, seconds = helper.answer()
+    for name, took_s in seconds.items():
+        stages.ended(name, took_s)
+    use_cores(1)
+    return found
 
 
 def _radar(

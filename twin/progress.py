@@ -28,15 +28,31 @@ def tell(stage: str, took_s: float) -> None:
         listener(stage, took_s)
 
 
-class Stages:
-    """Times named stages and shows them as one progress bar on a terminal.
+class StageTimes:
+    """Times named stages; `stage` is what the work calls. Several times of one stage add up."""
 
-    Use as a context manager; `stage` is what the work calls. A stage that is entered several times
-    adds up.
-    """
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """One stage of the work."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.ended(name, time.perf_counter() - start)
+
+    def ended(self, name: str, took_s: float) -> None:
+        """Count a stage that has taken this time."""
+        self.seconds[name] = self.seconds.get(name, 0.0) + took_s
+
+
+class Stages(StageTimes):
+    """Stages shown as one progress bar on a terminal; a context manager."""
 
     def __init__(self, expected: int) -> None:
-        self.seconds: dict[str, float] = {}
+        super().__init__()
         self._expected = expected
 
     def __enter__(self) -> "Stages":
@@ -64,11 +80,11 @@ class Stages:
         if interrupts:
             raise KeyboardInterrupt
         self._progress.update(self._task, description=name)
-        start = time.perf_counter()
-        try:
+        with super().stage(name):
             yield
-        finally:
-            took_s = time.perf_counter() - start
-            self.seconds[name] = self.seconds.get(name, 0.0) + took_s
-            tell(name, took_s)
-            self._progress.advance(self._task)
+
+    def ended(self, name: str, took_s: float) -> None:
+        """Count and tell a stage that has taken this time, here or in another process."""
+        super().ended(name, took_s)
+        tell(name, took_s)
+        self._progress.advance(self._task)

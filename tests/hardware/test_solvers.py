@@ -164,6 +164,7 @@ def variation(picture: np.ndarray) -> float:
     return float(np.sqrt(down**2 + along**2).sum())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.0, 400.0])
 def test_total_variation_converges_to_the_least(path: None, noise: float) -> None:
     """Against SciPy's constrained minimiser on 8 x 8 cells; misfit within its bound."""

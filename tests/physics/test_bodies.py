@@ -63,6 +63,7 @@ def test_solid_parts_are_closed(part):
     assert trimesh.load(BODIES / f"{part}.ply").is_watertight
 
 
+@pytest.mark.thorough
 def test_a_car_is_bright_from_most_sides():
     """Between its flashes the car lies near what was measured, not 10 dB below it.
 

@@ -45,6 +45,7 @@ def test_two_cylinders_are_told_apart(centre_ghz: float) -> None:
     assert np.hypot(*(outline - [0.9, 0.075]).T) == pytest.approx(0.04, abs=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_cross_section_is_of_the_order_of_the_closed_form() -> None:
     """0.91 wavelengths high, 0.67 across and near: physical optics and the form for a long, thick
     cylinder far away (0.027 m^2) differ by 1.2 dB here; the paper's measured maximum is 0.025 m^2.

@@ -77,6 +77,7 @@ def walked(extinction_per_m: float, albedo: float, forward: float, share: float,
     return stripes_in_fog(fog, bench, (1, 2, 8), walks=120_000, seed=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", [1, 2, 8])
 @pytest.mark.parametrize(
     ("part", "distance_m", "straight"),
@@ -129,6 +130,7 @@ def test_delta_scaling_is_what_is_left_without_orders() -> None:
     np.testing.assert_allclose(b / a, math.exp(-2 * FOG.surface_extinction_per_m * 10), rtol=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("start", ["dual", "scatter"])
 def test_every_tracer_finds_the_same_light_in_fog(start) -> None:
     """Optical depth 0.78, light and its further bounces: sums over pixels, over paths with their

@@ -39,6 +39,7 @@ def reference() -> np.ndarray:
     return np.array([capture(scene, YARD, seed=100 + n, fidelity=FINE).cells_e for n in range(8)])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [1.0, 0.3, 0.1])
 def test_light_of_the_yard_is_within_its_tolerance(reference: np.ndarray, tolerance: float) -> None:
     """Root mean square over the cells of 4 runs: below the tolerance, and what is stated is neither
@@ -122,6 +123,7 @@ def box(reflectance: float) -> LightProblem:
     return LightProblem(mitsuba_scene(scene), emitter, replace(emitter, tan_half_field=0.25))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reflectance", [0.3, 0.9])
 def test_no_bounce_is_lost_in_a_closed_room(reflectance: float) -> None:
     """Against 200 bounces: within 4 standard errors of both (false alarm 6e-5). Of 4 bounces, the
@@ -137,6 +139,7 @@ def test_no_bounce_is_lost_in_a_closed_room(reflectance: float) -> None:
     assert error < 0.01 * fine.total.sum()
 
 
+@pytest.mark.thorough
 def test_a_room_that_absorbs_nothing_ends_and_says_so() -> None:
     """Its light is without bound: no error is small enough."""
     tracer = box(1.0).from_emitter((2, 2), TracingQuality(), 1)

@@ -125,6 +125,7 @@ def test_every_width_of_the_paper_works(tmp_path: Path, columns: int) -> None:
     assert np.isfinite(reconstruct(taken.record).picture).all()
 
 
+@pytest.mark.thorough
 def test_a_picture_of_one_row_has_its_report(tmp_path: Path) -> None:
     from twin.job import run
 

@@ -116,6 +116,7 @@ def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> N
         assert worst(ours[:, :, ::-1]) > 10 * bound
 
 
+@pytest.mark.thorough
 def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
     """16 LED rows x 32 columns, two bounces, 24 seeds each: element by element and in sum.
 

@@ -292,6 +292,7 @@ def test_the_suns_light_moves_too(system: System) -> None:
     np.testing.assert_allclose(frame.sun_w[[0, 255, 511], 0, 0], true, rtol=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["shadow", "cover"])
 def test_what_the_middle_does_not_show_is_no_rest(system: System, kind: str) -> None:
     """A shadow of what the camera never sees, thrown by a sun behind it; and a black plate that
@@ -403,6 +404,7 @@ def frozen(scene: Scene, system: System) -> list[str]:
     return [str(text) for text in told if "taken as still" in text]
 
 
+@pytest.mark.thorough
 def test_a_frame_taken_as_still_says_how_far_things_move_and_what_that_does(system: System) -> None:
     """A plate that crosses 4 cells of 0.36 m; what counts are off by is that of exposures at their
     own time, and no more than the warning says, which takes all cells passed as changed at once.
@@ -578,6 +580,7 @@ def test_means_over_exposures_are_integrals_of_what_is_linear_between_instants()
     np.testing.assert_allclose(exposures.means(coarse) @ coarse, exposures.middles_s, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_what_the_suns_light_scatters_by_is_told_where_it_counts() -> None:
     """Between two exposures of a pair it is next to nothing."""
     told = {

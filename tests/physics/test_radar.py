@@ -300,6 +300,7 @@ def test_a_static_scene_has_no_doppler() -> None:
         assert abs(found.range_rate_m_per_s) < 6 * found.range_rate_error_m_per_s + 1e-6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("rung", "off_m"), [("paths", 1e-4), ("optics", 2e-3)])
 def test_yard_targets_are_found_where_they_are(rung, off_m) -> None:
     """Meshes have more than one echo, and other echoes beside them."""

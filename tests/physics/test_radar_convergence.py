@@ -131,6 +131,7 @@ def test_over_ground_both_directions_have_their_own_currents(pitch_deg: float) -
     assert np.linalg.norm(echo - truth) < estimate * np.linalg.norm(echo)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("family", ["plates", "dihedral", "corner", "box", "near", "needles"])
 def test_errors_of_random_bodies_are_within_the_estimate(family: str) -> None:
     """Against currents summed in float64. In some of a hundred they are not, and not by far."""
@@ -227,6 +228,7 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
     assert "(in 95 of 100 cases) (and 2 more, by less)" in text
 
 
+@pytest.mark.thorough
 def test_the_benchmark_measures_every_body(tmp_path: Path) -> None:
     """Errors against a reference by brute force; of times, kernels that a moved car compiles."""
     (tmp_path / "short.toml").write_text(

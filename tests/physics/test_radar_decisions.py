@@ -194,6 +194,7 @@ def grazing_floor() -> Scene:
     return world(box, ground(-0.7, "concrete"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "make",
     [

@@ -330,6 +330,7 @@ def test_large_facets_whose_middle_the_beam_misses(corners: list) -> None:
     assert relative(found, summed(parts)) < 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("one", "other"),
     [

@@ -170,6 +170,7 @@ def test_echoes_that_no_instant_changes_are_those_of_one() -> None:
     assert off(blended, burst_channel(echoes, burst)) < 1e-4
 
 
+@pytest.mark.thorough
 def test_a_trajectory_that_ends_within_the_interval() -> None:
     """What is followed ends there: the last instant's echo goes on."""
     turn = np.array([[1.0, 0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]])

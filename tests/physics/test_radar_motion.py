@@ -165,6 +165,7 @@ def test_the_radars_own_image_in_a_corner_that_moves() -> None:
             assert found * speed_of_light == pytest.approx(exact, abs=3e-7)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [0.1, 0.03])
 def test_a_plate_that_slides_in_its_own_plane(tolerance: float) -> None:
     """25 m/s in 5 m: what it sends back hardly changes while the foot of the perpendicular stays on

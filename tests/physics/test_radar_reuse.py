@@ -122,6 +122,7 @@ def test_a_car_that_drives_on(name: str, least: float) -> None:
             assert body.estimated_error < 2 * told[body.objects] + 0.05
 
 
+@pytest.mark.thorough
 def test_what_comes_between_is_seen_and_so_is_what_leaves() -> None:
     """A box that steps before a ball silences it, and lets it answer again where it leaves."""
     aside = box("box", (5, 2, 0), (0.5, 0.5, 0.5), turn_deg=30)

@@ -74,6 +74,7 @@ def expected_power(n: int = 2000) -> float:
     return float(density.sum() * 96 / n**2)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [10_000, 100_000, 1_000_000])
 def test_mean_power_does_not_depend_on_the_number(count: int) -> None:
     """Of scatterers: within 0.1 dB of the integral, averaged over four surfaces at 1e4."""

@@ -75,6 +75,7 @@ def test_surfaces_are_rough_where_it_counts(
     assert bound == pytest.approx(1 - np.exp(-2 * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("height_m", [0.05, 0.5, 3.0])
 def test_no_cell_has_more_clutter_than_the_bound(height_m: float) -> None:
     """Power of all scatterers in the strongest range cell, of four surfaces: within the bound, that
@@ -136,6 +137,7 @@ def body_alone(side_m: float, distance_m: float, material: str = "asphalt") -> S
     return world(plate("sign", (distance_m, 0, 0), side_m, material), rig=rig)
 
 
+@pytest.mark.thorough
 def test_a_body_mirrors_and_scatters_as_its_roughness_says() -> None:
     """A plate too small to be a large surface: its facets lose exp(-2 (k s)^2) of 0.5 mm, and its
     clutter, over 16 surfaces, is that of the radar equation within 1.5 dB: as many draws of

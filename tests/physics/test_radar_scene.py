@@ -210,6 +210,7 @@ def ball_over_ground(center: np.ndarray, radius: float, z: float, material: str)
     return total
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("material", ["metal", "asphalt"])
 def test_two_ray_ground(material: str) -> None:
     """A ball at 15 m over ground 1 m below the radar, 0.2 to 1.6 m high: within 0.5 dB of theory
@@ -257,6 +258,7 @@ def test_rates_are_the_delays_derivatives() -> None:
 # Invariance.
 
 
+@pytest.mark.thorough
 def test_a_scene_may_stand_a_thousand_kilometres_away() -> None:
     here = world(ball("b", (10, 0.3, 0)), ground(-1.0))
     there = np.array([1e6, -1e6, 500.0])
@@ -268,6 +270,7 @@ def test_a_scene_may_stand_a_thousand_kilometres_away() -> None:
     assert abs(one - other) < 0.01 * abs(one)
 
 
+@pytest.mark.thorough
 def test_neither_order_nor_refinement_nor_winding_matters() -> None:
     things = (ball("b", (10, 0.3, 0)), plate("p", (11, -0.6, 0.2)), ground(-1.0))
     expected = echo(world(*things))
@@ -282,6 +285,7 @@ def test_neither_order_nor_refinement_nor_winding_matters() -> None:
     assert abs(found - expected) < 0.02 * abs(expected)
 
 
+@pytest.mark.thorough
 def test_a_closer_tolerance_changes_little() -> None:
     """Two echoes differ by no more than both tolerances together."""
     things = (ball("b", (10, 0.3, 0)), ground(-1.0))
@@ -289,6 +293,7 @@ def test_a_closer_tolerance_changes_little() -> None:
     assert abs(coarse - fine) < 0.13 * abs(fine)
 
 
+@pytest.mark.thorough
 def test_the_same_again_has_the_same_bits() -> None:
     scene = world(ball("b", (10, 0.3, 0)), trihedral("t", (12, 1, 0)), ground(-1.0))
     one, other = (trace(scene, RADAR, fidelity=OPTICS).echoes for _ in range(2))

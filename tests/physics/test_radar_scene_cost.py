@@ -22,6 +22,7 @@ def shifted(scene: Scene, metres: float) -> Scene:
     return replace(scene, objects=(moved, *others))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rung", ["optics", "rough"])
 def test_a_moved_object_compiles_nothing(rung: str) -> None:
     mitsuba()

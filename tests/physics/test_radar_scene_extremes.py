@@ -57,6 +57,7 @@ def test_a_target_at_a_kilometre() -> None:
     assert found == pytest.approx(30.0, abs=0.3)
 
 
+@pytest.mark.thorough
 def test_a_radar_that_touches_a_mesh_hears_finite_numbers() -> None:
     """On a plate, in its plane, on a vertex of a ball, and inside one; with edges."""
     on_edge = quad("e", [[0, 0, 0], [3, 0, 0], [3, 0, 2], [0, 0, 2]])

@@ -232,6 +232,7 @@ def test_a_table_is_filled_once_in_memory_and_on_disk(tmp_path, monkeypatch) -> 
         np.testing.assert_array_equal(fresh().dyadics(*ways), first)
 
 
+@pytest.mark.thorough
 def test_what_was_asked_before_does_not_matter() -> None:
     """Alone, in company or in another order a way has the same bits."""
     target = body(trihedral("t", (0, 0, 0), 0.1))

@@ -21,5 +21,6 @@ def test_an_eighth_of_the_patterns(twin_regression, method: str) -> None:
     twin_regression.camera("yard", HERE / "yard-32x32-128.toml", method=method, seeds=24)
 
 
+@pytest.mark.thorough
 def test_radar_detections(twin_regression) -> None:
     twin_regression.radar("yard", HERE / "yard-radar.toml", seeds=8)

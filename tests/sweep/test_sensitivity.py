@@ -57,6 +57,7 @@ def run(folder: Path, method: str, n: int, seed: int = 0, extra: str = "") -> xa
     return open_sweep(out).load()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["latin-hypercube", "sobol", "saltelli"])
 @pytest.mark.parametrize("n", [64, 128])
 def test_shares_of_a_product(tmp_path: Path, method: str, n: int) -> None:

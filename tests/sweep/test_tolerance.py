@@ -45,6 +45,7 @@ def _nothing_rendered_before(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twin.sweep.evaluate._CAPTURES", Held(32))
 
 
+@pytest.mark.thorough
 def test_points_that_differ_after_the_light_share_one_render_within_what_each_permits(
     study,
 ) -> None:
@@ -72,6 +73,7 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     np.testing.assert_array_equal(counts, alone.record.counts)
 
 
+@pytest.mark.thorough
 def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(study) -> None:
     """The quietest sensor, to whose noise the light is rendered, sees no sun. Sun and noise of
     those that share its light are all the same those of many paths, within 1.5 times their

@@ -32,6 +32,7 @@ def small(**changes: object) -> System:
     return load_system("workable").with_({**usual, **changes})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("n_patterns", [256, 64])
 @pytest.mark.parametrize("snr", [0.01, 1.0, 1000.0])
 def test_scores_with_another_seed_are_within_their_intervals(snr: float, n_patterns: int) -> None:
@@ -154,6 +155,7 @@ def test_targets_near_the_threshold_are_counted_with_their_scatter() -> None:
     assert (sure[0].value, sure[0].noise) == (5, 0)
 
 
+@pytest.mark.thorough
 def test_sunlight_that_scatters_within_a_moving_frame_is_in_the_scores_interval() -> None:
     """A plain set does not subtract the sun, whose light errs from instant to instant: of all pairs
     of seeds at least two thirds agree (30 % where the interval held the sensor's noise alone).

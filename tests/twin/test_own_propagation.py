@@ -78,6 +78,7 @@ def test_studies_take_it(folder: Path, workers: int) -> None:
         run_sweep(load_study(folder / "study.toml"), out=folder / "out", workers=0)
 
 
+@pytest.mark.thorough
 def test_a_study_in_python_takes_a_function(tmp_path: Path) -> None:
     def silent(scene, radar, fidelity, seed):
         return Contributions.none()

@@ -234,6 +234,7 @@ def test_a_detector_is_held_against_its_baseline(twin_truth, tmp_path: Path) -> 
         twice.radar("yard", RADAR, seeds=2)
 
 
+@pytest.mark.thorough
 def test_several_poses_in_turn(twin_truth, tmp_path: Path) -> None:
     """Seed i sees pose i modulo 2, what a capture from there sees; a method that is worse from one
     of them alone, by a fifth of its image, is found, and another pose is another setup.

@@ -96,6 +96,7 @@ def test_false_alarms_and_power_of_normal_figures() -> None:
         assert low - slack < share < high + slack
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("paired", [True, False])
 def test_single_seeds_alarm_no_more_often_than_stated(paired: bool) -> None:
     """Normal figures of a method that is equally good: at most a fifth of 1 % of 10 000

@@ -152,6 +152,7 @@ def test_a_run_ends_where_a_trajectory_does(caplog: pytest.LogCaptureFixture) ->
     assert len(host.made) == 2
 
 
+@pytest.mark.thorough
 def test_runs_of_the_same_frames_share_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that stops anywhere is followed by one that begins with frame 0; processes are new
     where frames are others, or where one has died.

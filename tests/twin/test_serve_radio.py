@@ -50,6 +50,7 @@ def _setup(scene, design):
     return radio.schedule, radio.front_end
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("design", "sweeps"),
     [
@@ -378,6 +379,7 @@ def test_a_device_answers_while_its_processes_start() -> None:
     prefetcher.close()
 
 
+@pytest.mark.thorough
 def test_ugv_captures_and_processes_a_radio(scene, tmp_path: Path) -> None:
     """By its URL alone: a record a sweep, bit for bit the twin's, with the radio's clock."""
     design = small()

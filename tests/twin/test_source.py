@@ -80,6 +80,7 @@ def test_settings_configure_the_camera(system) -> None:
         records("twin:yard", SETTINGS)
 
 
+@pytest.mark.thorough
 def test_both_sensors_in_the_order_of_time(system) -> None:
     """Radar sweeps are those of a capture, each later by the sweeps before it."""
     url = f"twin:yard?system={system}&radar=prototype&seed=5&pace=fast"

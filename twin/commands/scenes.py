@@ -1,5 +1,6 @@
 """`twin run`, `check`, `import`: a scene, and everything the sensors make of it."""
 
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import typer
 from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
 from hardware.formatting import counted, number
+from twin.child_process import Helper
 from twin.commands import console_of, loading
 from twin.commands.arguments import (
     FidelityOption,
@@ -82,6 +84,9 @@ def run(
     ] = None,
 ) -> None:
     """Simulate both sensors over a scene, process their records, write a report."""
+    helper = None
+    if "none" not in (system, radar) and within is None and len(os.sched_getaffinity(0)) > 1:
+        helper = Helper("twin.job")  # before anything else: it takes seconds to load
     with loading():
         from twin.job import run as run_job
         from twin.radar import load_radar
@@ -117,6 +122,7 @@ def run(
         method=method,
         detection=detection,
         command=shlex.join(["twin", *sys.argv[1:]]),
+        helper=helper,
     )
     _tell_verdicts(say, result)
     if result.radar:

@@ -5,22 +5,18 @@ possible in an interpreter that also runs the simulation. Not those of `concurre
 delay the end of a process until their items are computed, and outlive a parent that is killed.
 """
 
-import multiprocessing
 import os
-import signal
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
-from twin.engine import EngineError
-from twin.files import InputError
+from twin.child_process import SPAWN, attempt, start_process
+from twin.errors import EngineError
 
 _Item = TypeVar("_Item")
 
-_SPAWN = multiprocessing.get_context("spawn")
 _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
 
 
@@ -40,7 +36,7 @@ class Prefetcher(Generic[_Item]):
         self._closed = self._died = False
         self._failure = ""
         count = min(_MOST_PROCESSES, os.cpu_count() or 1)
-        pipes = [_SPAWN.Pipe() for _ in range(count)]
+        pipes = [SPAWN.Pipe() for _ in range(count)]
         self._lines: list[Connection] = [ours for ours, _ in pipes]
         self._asked = list(range(count))  # what each line computes, or has computed
         self._given_up = [0] * count  # items before it that nobody waits for any more
@@ -51,14 +47,10 @@ class Prefetcher(Generic[_Item]):
         threading.Thread(target=self._start, args=(make, ends), daemon=True).start()
 
     def _start(self, make: Callable[[int], _Item], ends: list[Connection]) -> None:
-        # Ctrl-C goes to all processes of a terminal: it is left to this one. The tracker is started
-        # first, since it lifts what is blocked.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         for theirs in ends:
             try:
                 if not self._closed and not self._failure:
-                    _SPAWN.Process(target=_work, args=(theirs, make), daemon=True).start()
+                    start_process(_work, theirs, make)
             except Exception as error:  # what cannot be pickled, no memory
                 self._failure = f": {type(error).__name__}: {error}"
             theirs.close()
@@ -118,12 +110,11 @@ def _work(line: Connection, make: Callable[[int], Any]) -> None:
     """Compute requested items until the connection is closed; all but the first one, for which a
     device that starts up waits, at low priority.
     """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        line.send(_attempt(make, line.recv()))
+        line.send(attempt(make, line.recv()))
         _lower_priority()
         while True:
-            line.send(_attempt(make, line.recv()))
+            line.send(attempt(make, line.recv()))
     except (EOFError, OSError):
         pass
 
@@ -133,20 +124,3 @@ def _lower_priority() -> None:
     os.nice(19)
     if hasattr(os, "SCHED_IDLE"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
-def _end_with_parent() -> None:
-    """End this process at once when the parent has ended."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(0)
-
-
-def _attempt(make: Callable[[int], Any], number: int) -> tuple[Any, Exception | None]:
-    try:
-        return make(number), None
-    except InputError as error:
-        return None, error
-    except Exception as error:  # any engine's; not every one can be pickled
-        return None, EngineError(f"{type(error).__name__}: {error}")
