@@ -1,5 +1,22 @@
-"""``python -m twin``."""
+"""The command ``twin``: interrupted while it is still being loaded, it ends in one line as well."""
 
-from twin.cli import main
+import os
+import signal
+from types import FrameType
 
-main()
+
+def main() -> None:
+    """Load the command line and run it."""
+    signal.signal(signal.SIGINT, _end_at_once)
+    from twin.cli import main as command
+
+    command()
+
+
+def _end_at_once(number: int, frame: FrameType | None) -> None:
+    os.write(2, b"twin: interrupted, nothing half-written is left\n")
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    main()

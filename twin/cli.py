@@ -15,6 +15,7 @@ from twin import __version__
 from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
 from twin.progress import interrupts
 
+_TELL = sys.unraisablehook
 _DELAY_S = 0.1
 _MOST_DELAYS = 100
 
@@ -58,6 +59,7 @@ def main() -> None:
         faulthandler.enable(sys.__stderr__)  # says where in the twin a library crashed
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
+    sys.unraisablehook = _again_if_lost
     ended: int | str | None = None
     try:
         ended = outcome(app, "twin", TwinError)
@@ -86,12 +88,24 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     interrupts.append(number)
     if len(interrupts) > _MOST_DELAYS or not _loads_a_module(frame):
         raise KeyboardInterrupt
-    again = threading.Timer(_DELAY_S, os.kill, (os.getpid(), number))
-    again.daemon = True
-    again.start()
+    _send_again(number)
 
 
 def _loads_a_module(frame: FrameType | None) -> bool:
     while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
         frame = frame.f_back
     return frame is not None
+
+
+def _again_if_lost(lost: "sys.UnraisableHookArgs") -> None:
+    """An exception that compiled code could not pass on: an interrupt is sent again."""
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        _send_again(signal.SIGINT)
+    else:
+        _TELL(lost)
+
+
+def _send_again(number: int) -> None:
+    again = threading.Timer(_DELAY_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from hardware import read_record, reconstruct
@@ -391,17 +392,21 @@ def test_whole_folder_is_all_or_nothing(tmp_path: Path) -> None:
     assert {p.name: p.read_text() for p in out.iterdir()} == {"new": "z", "kept": "y"}
 
 
-@pytest.mark.parametrize("after_s", [0.5, 2.0])
+@pytest.mark.parametrize("after_s", [0.2, 1.0, 4.0])
 def test_ctrl_c_leaves_nothing_behind(after_s: float, tmp_path: Path) -> None:
+    """After as much processor time."""
     process = subprocess.Popen(
         [sys.executable, "-m", "twin", "run", "yard", "--out", str(tmp_path / "out")],
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(after_s)
+    taken = psutil.Process(process.pid).cpu_times
+    while sum(taken()[:2]) < after_s:
+        time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
+    assert "Traceback" not in errors
     assert list(tmp_path.iterdir()) == []
 
 
