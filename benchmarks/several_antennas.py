@@ -3,18 +3,21 @@
 `hybrid-79-mimo` with 33 slots, a quarter of its subcarriers and a raised transmitter, so that it
 tells elevation: with its oscillator and leakage, whose phase noise the receivers share, and
 without. Point targets of a given SNR on a channel without a window, of thermal noise alone. Where
-the phases of transmitters that take turns do not tell a rate it is stated with alternatives; the
-figures hold if none of them is the true one, so draws of another rate count apart.
+the phases of transmitters that take turns do not tell a rate it is stated with alternatives, and so
+is a direction where noise may have raised another lobe of the array; the figures hold if none of
+them is the true one, so draws of another rate or lobe count apart.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.noise_intervals import evaluations, told
 from benchmarks.timing import Figure
+from hardware import Detection
 from twin.accuracy import Interval
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar
@@ -59,7 +62,8 @@ def design(oscillator: bool) -> RadarDesign:
 
 def _of_case(what: str, levels_db: tuple[float, ...], radar: RadarDesign) -> Iterator[Figure]:
     drawn: dict[str, list[Interval]] = defaultdict(list)
-    n_detected = n_other = n_told = 0
+    n_detected, others, alternatives = 0, Counter[str](), Counter[str]()
+    lobe_rad = _half_lobe_rad(radar)
     span = 2 * radar.channel_waveform.max_velocity_m_per_s
     for evaluation in evaluations(
         _points(levels_db, radar), radar, _SEEDS, Fidelity(radar="targets")
@@ -70,20 +74,49 @@ def _of_case(what: str, levels_db: tuple[float, ...], radar: RadarDesign) -> Ite
                 continue
             n_detected += 1
             rates = detection.range_rate_m_per_s, *detection.range_rate_alternatives_m_per_s
-            off = np.abs(np.array(rates) - target.range_rate_m_per_s)
-            if off[0] > span / 2:
-                n_other += 1
-                n_told += bool(off.min() < span / 2)
+            off = {
+                "rate": np.abs(np.array(rates) - target.range_rate_m_per_s) / (span / 2),
+                "lobe": np.array([_off(one, target.name, lobe_rad) for one in _told(detection)]),
+            }
+            another = [name for name, each in off.items() if each[0] > 1]
+            if another:
+                others[another[0]] += 1
+                alternatives[another[0]] += bool(off[another[0]].min() < 1)
                 continue
             for name, interval in vars(intervals).items():
                 drawn[f"{what}, {target.name}, {name}"].append(interval)
     yield f"{what}: detected", 100 * n_detected / (_SEEDS * len(levels_db)), "%"
-    yield f"{what}: of another rate", 100 * n_other / max(n_detected, 1), "%"
-    if n_other:
-        yield f"{what}: of these with the true one as alternative", 100 * n_told / n_other, "%"
+    for name in ("rate", "lobe"):
+        yield f"{what}: of another {name}", 100 * others[name] / max(n_detected, 1), "%"
+        if others[name]:
+            share = 100 * alternatives[name] / others[name]
+            yield f"{what}: of these with the true one as alternative", share, "%"
     for name, some in drawn.items():
         if len(some) > 1:
             yield from told(name, some)
+
+
+def _told(detection: Detection) -> Iterator[tuple[float, float]]:
+    """Azimuth and elevation, rad, of the direction and its alternatives."""
+    yield detection.azimuth_rad, detection.elevation_rad
+    yield from zip(
+        detection.azimuth_alternatives_rad, detection.elevation_alternatives_rad, strict=True
+    )
+
+
+def _off(told_rad: tuple[float, float], name: str, lobe_rad: NDArray[np.float64]) -> float:
+    """Of the target's direction, in half lobes."""
+    _, left_deg, up_deg, _ = _PLACES[int(name.split()[-1]) - 1]
+    off_rad = np.abs(np.subtract(told_rad, np.radians([left_deg, up_deg])))
+    return float(np.max(off_rad / lobe_rad))
+
+
+def _half_lobe_rad(radar: RadarDesign) -> NDArray[np.float64]:
+    """Azimuth and elevation from the array's main lobe half way to its first zero, ahead."""
+    extent_m = sum(
+        np.ptp(part, axis=0) for part in (radar.burst.transmitters_m, radar.burst.receivers_m)
+    )
+    return radar.burst.waveform.wavelength_m / extent_m[1:] / 2
 
 
 def _points(levels_db: tuple[float, ...], radar: RadarDesign) -> Scene:

@@ -181,7 +181,8 @@ def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
     """Columns of a point cloud: ``x``, ``y``, ``z`` in the antenna's frame, and every number of a
     `Detection` under its own name, (n_detections,) each; of the range rates that the record cannot
     exclude ``range_rate_alternatives`` is the number and ``range_rate_alternative_K_m_per_s``, K
-    from 1, the K-th, as many columns as the most ambiguous detection needs.
+    from 1, the K-th, as many columns as the most ambiguous detection needs; the same of directions,
+    ``azimuth_alternative_K_rad`` and ``elevation_alternative_K_rad``.
 
     What was not measured is NaN: x and y without an azimuth, z without an elevation; x and y are
     then those of a target at the antenna's height.
@@ -190,11 +191,14 @@ def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
     for name in (field.name for field in fields(Detection) if field.type is float):
         values = np.array([getattr(one, name) for one in detections], np.float64)
         columns[name] = np.where(np.isfinite(values), values, np.nan)
-    others = [one.range_rate_alternatives_m_per_s for one in detections]
-    columns["range_rate_alternatives"] = np.array([len(rates) for rates in others], np.float64)
-    for k in range(max(map(len, others), default=0)):
-        own = [rates[k] if k < len(rates) else np.nan for rates in others]
-        columns[f"range_rate_alternative_{k + 1}_m_per_s"] = np.array(own)
+    for name in ("range_rate_alternatives_m_per_s", "azimuth_alternatives_rad",
+                 "elevation_alternatives_rad"):  # fmt: skip
+        quantity, unit = name.split("_alternatives_")
+        others = [getattr(one, name) for one in detections]
+        columns[f"{quantity}_alternatives"] = np.array([len(own) for own in others], np.float64)
+        for k in range(max(map(len, others), default=0)):
+            own = [values[k] if k < len(values) else np.nan for values in others]
+            columns[f"{quantity}_alternative_{k + 1}_{unit}"] = np.array(own)
     range_m, azimuth, elevation = (
         columns[name] for name in ("range_m", "azimuth_rad", "elevation_rad")
     )

@@ -123,7 +123,9 @@ def _tables() -> str:
         "further_echo_of": "True target of which this is a further echo, such as a reflection.",
         **documented(Detection),
     }
-    known["range_rate_alternatives_m_per_s"] += " Separated by semicolons."
+    for name in known:
+        if "_alternatives_" in name:
+            known[name] += " Separated by semicolons."
     for name in detections:
         if name.startswith("model_"):
             part = "Standard error" if name.endswith("standard_error") else "Bound of the error"

@@ -6,7 +6,7 @@ compensates that. The schedule makes the rate ambiguous, so every rate that the 
 cannot exclude is tested.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,13 @@ from hardware.radar.channel_noise import ChannelNoise
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
 
+#: What a lobe may have more than the nearest place of the grid, of the power: an eighth of a lobe
+#: off along both axes of an array of four corners.
+_BETWEEN = 0.3
+_ROUNDING = 1e-9  # of the power, where there is no noise
+_ALIKE = 1e-4  # difference of direction cosines of one lobe
 _UNEVEN = 1e-3  # power that calibration errors of the channels take from a single target's beam
 
 
@@ -27,7 +33,8 @@ class Direction:
 
     NaN along an axis on which the array has no extent. ``delay_rate_alternatives``: rates that the
     phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
-    ``delay_rate``.
+    ``delay_rate``. ``others``: direction cosines of other lobes of the array that noise may have
+    raised above the true one, likeliest first.
     """
 
     left: float
@@ -36,6 +43,7 @@ class Direction:
     up_error: float
     delay_rate: float
     delay_rate_alternatives: tuple[float, ...] = ()
+    others: tuple[tuple[float, float], ...] = ()
 
     @property
     def elevation_rad(self) -> float:
@@ -47,6 +55,14 @@ class Direction:
         """Positive: left; an unknown elevation counts as 0."""
         level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
         return float(np.arcsin(np.clip(self.left / max(level, 1e-9), -1, 1)))
+
+    @property
+    def alternatives(self) -> "tuple[Direction, ...]":
+        """The directions of the other lobes, each without alternatives."""
+        return tuple(
+            replace(self, left=left, up=up, delay_rate_alternatives=(), others=())
+            for left, up in self.others
+        )
 
     @property
     def azimuth_error_rad(self) -> float:
@@ -85,8 +101,7 @@ def direction(
     for i, rate in enumerate(rates):
         still = compensate_motion(amplitude, burst, rate)
         cosines[i] = _beam_maximum(still, places, seen)
-        beam = np.vdot(steering(places, cosines[i]), still)
-        share[i] = np.abs(beam) ** 2 / max(len(still) * np.vdot(still, still).real, 1e-300)
+        share[i] = _shares(cosines[i], still, places)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
     phases = compensate_motion(steering(places, cosines[best]).conj(), burst, rates[best]).conj()
     errors = np.full(2, np.nan)
@@ -94,8 +109,14 @@ def direction(
     left, up = np.where(seen, cosines[best], np.nan)
     apart_w = _between_transmitters(noise, phases, burst)
     snr = noise.signal_w(amplitude) / apart_w if apart_w else np.inf
-    left_open = _possible_rates(share, snr * len(amplitude), len(amplitude))
+    snr *= len(amplitude)
+    left_open = _possible_rates(share, snr, len(amplitude))
     left_open[best] = False
+    others = np.empty((0, 2))
+    if seen.any():
+        turn = compensate_motion(np.ones_like(amplitude), burst, rates[best])
+        at_rest = replace(noise, covariance_w=turn[:, None] * noise.covariance_w * turn.conj())
+        others = _other_lobes(turn * amplitude, cosines[best], places, seen, at_rest)
     return Direction(
         float(left),
         float(up),
@@ -103,22 +124,44 @@ def direction(
         float(errors[1]),
         float(rates[best]),
         tuple(float(rate) for rate in rates[left_open]),
+        tuple((float(left), float(up)) for left, up in np.where(seen, others, np.nan)),
     )
 
 
 def _possible_rates(share: Array, snr: float, n_channels: int) -> NDArray[np.bool_]:
-    """Which rates (n_rates,) the phases cannot exclude, by the shares one direction explains.
+    """Which rates (n_rates,) the phases cannot exclude, by the shares one direction explains: none
+    is excluded where several echoes share the cell.
+    """
+    if not _is_single(float(share.max()), snr, n_channels):
+        return np.ones(len(share), dtype=bool)
+    return np.asarray(snr * (share.max() - share) < CERTAIN)
 
-    The residual of a single target is noise, half a chi-squared variable of 2 n - 4 degrees of
-    freedom. A larger residual means that several echoes share the cell: no rate is excluded then.
+
+def _other_lobes(
+    amplitude: Complex, best: Array, places: Array, seen: Flags, noise: ChannelNoise
+) -> Array:
+    """Direction cosines (n, 2) of lobes of which noise along their beam, or along the best one, may
+    make up the difference to that, the largest first.
+    """
+    signal = max(noise.signal_w(amplitude) * len(amplitude), 1e-300)
+    highest = float(_shares(best, amplitude, places))
+    most_w = max(float(np.linalg.eigvalsh(noise.covariance_w)[-1]), noise.least_w)
+    lobes = _lobes(amplitude, places, seen, highest - CERTAIN * most_w / signal - _ROUNDING)
+    lobes = lobes[np.abs(lobes - best).max(axis=1) > _ALIKE]
+    beam_w = noise.along(steering(places, best))
+    noise_w = np.array([max(beam_w, noise.along(steering(places, lobe))) for lobe in lobes])
+    lower = highest - _shares(lobes, amplitude, places)
+    return lobes[lower <= CERTAIN * noise_w / signal + _ROUNDING]
+
+
+def _is_single(share: float, snr: float, n_channels: int) -> bool:
+    """Whether a cell may hold a single target, by the share of its power that one direction
+    explains: the rest is noise then, half a chi-squared variable of 2 n - 4 degrees of freedom.
     """
     from scipy.stats import chi2
 
-    residual = snr * (1 - share.max())
     freedom = max(2 * n_channels - 4, 1)
-    if residual > chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr:
-        return np.ones(len(share), dtype=bool)
-    return np.asarray(snr * (share.max() - share) < CERTAIN)
+    return bool(snr * (1 - share) <= chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr)
 
 
 def _between_transmitters(noise: ChannelNoise, phases: Complex, burst: DemodulatedBurst) -> float:
@@ -153,27 +196,62 @@ def compensate_motion(amplitude: Complex, burst: DemodulatedBurst, delay_rate: f
     return np.asarray(amplitude * np.exp(2j * np.pi * cycles))
 
 
-def _beam_maximum(amplitude: Complex, places: Array, seen: NDArray[np.bool_]) -> Array:
+def _beam_maximum(amplitude: Complex, places: Array, seen: Flags) -> Array:
     """Direction cosines (2,) of the highest beam: a grid, then Newton's method."""
+    grid, beam = _beam(amplitude, places, seen)
+    start = grid[np.unravel_index(np.argmax(beam), beam.shape)]
+    return _refined(start[None], amplitude, places, seen)[0]
+
+
+def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float) -> Array:
+    """Direction cosines (n, 2) of all lobes that explain at least a share of the power, the largest
+    first.
+    """
+    from scipy.ndimage import maximum_filter
+
+    grid, beam = _beam(amplitude, places, seen)
+    tops = (beam == maximum_filter(beam, 3)) & (beam >= least - _BETWEEN)
+    cosines = _refined(grid[tops], amplitude, places, seen)
+    shares = _shares(cosines, amplitude, places)
+    likely = (shares >= least) & (np.sum(cosines**2, axis=1) <= 1)
+    found = cosines[likely][np.argsort(-shares[likely])]
+    _, first = np.unique(np.round(found, 5), axis=0, return_index=True)  # of several starts of one
+    return found[np.sort(first)]
+
+
+def _beam(amplitude: Complex, places: Array, seen: Flags) -> tuple[Array, Array]:
+    """Direction cosines (n_left, n_up, 2) a quarter of a lobe apart, and the share of the power
+    that each explains; -1 of those that no direction has.
+    """
     axes = [
         np.arange(-1, 1, 0.25 / max(extent, 0.25)) if there else np.zeros(1)
         for extent, there in zip(extents(places), seen, strict=True)
     ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    grid = grid[np.sum(grid**2, axis=1) <= 1]
-    cosines = grid[np.argmax(np.abs(steering(places, grid).conj() @ amplitude))].copy()
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    visible = np.sum(grid**2, axis=-1) <= 1
+    return grid, np.where(visible, _shares(grid, amplitude, places), -1.0)
+
+
+def _shares(cosines: Array, amplitude: Complex, places: Array) -> Array:
+    """Of the power, what each direction (..., 2) explains."""
+    beam = np.abs(steering(places, cosines).conj() @ amplitude) ** 2
+    return np.asarray(beam / max(len(amplitude) * np.vdot(amplitude, amplitude).real, 1e-300))
+
+
+def _refined(start: Array, amplitude: Complex, places: Array, seen: Flags) -> Array:
+    """Direction cosines (n, 2) of the lobes on which some starts (n, 2) lie, by Newton's method."""
+    cosines = start.copy()
     if not seen.any():
         return cosines
     turn = 2j * np.pi * places[:, seen]
     for _ in range(20):
         part = steering(places, cosines).conj() * amplitude
-        total = part.sum()
-        first = -turn.T @ part / total
-        second = turn.T @ (turn * part[:, None]) / total
-        gradient = 2 * first.real
-        curved = 2 * np.real(second - np.outer(first, first))
-        change = -np.linalg.lstsq(curved, gradient, rcond=None)[0]
-        cosines[seen] += np.clip(change, -0.1, 0.1)
+        total = part.sum(axis=1)[:, None]
+        first = -(part @ turn) / total
+        second = np.einsum("nc,ci,cj->nij", part, turn, turn) / total[:, :, None]
+        curved = 2 * np.real(second - first[:, :, None] * first[:, None, :])
+        change = -(np.linalg.pinv(curved) @ (2 * first.real)[:, :, None])[:, :, 0]
+        cosines[:, seen] += np.clip(change, -0.1, 0.1)
         if np.abs(change).max() < 1e-9:
             break
     return np.asarray(cosines)

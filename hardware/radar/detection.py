@@ -72,6 +72,12 @@ class Detection:
     range_rate_alternatives_m_per_s
         Other range rates that the record cannot exclude, likeliest first; direction and error of
         the range rate are valid if none of them is the true one.
+    azimuth_alternatives_rad
+        Azimuths of other directions that the record cannot exclude, likeliest first: noise may have
+        raised another lobe of the array above that of the target. The direction and its errors are
+        valid if none of them is the true one.
+    elevation_alternatives_rad
+        Elevations of those directions.
     power_error_w
         Standard error of the power; NaN where a detection of one's own does not tell it.
     """
@@ -88,6 +94,8 @@ class Detection:
     elevation_error_rad: float = float("nan")
     rcs_m2: float = float("nan")
     range_rate_alternatives_m_per_s: tuple[float, ...] = ()
+    azimuth_alternatives_rad: tuple[float, ...] = ()
+    elevation_alternatives_rad: tuple[float, ...] = ()
     power_error_w: float = float("nan")
 
     @classmethod

@@ -99,5 +99,9 @@ def _known(value: float, text: str) -> str:
 
 
 def _alternatives(detection: Detection) -> str:
-    others = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
-    return f"rate ambiguous, or {others} m/s" if others else ""
+    rates = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
+    azimuths = ", ".join(f"{np.degrees(a):+.1f}" for a in detection.azimuth_alternatives_rad)
+    return "; ".join(
+        [f"rate ambiguous, or {rates} m/s"] * bool(rates)
+        + [f"azimuth ambiguous, or {azimuths} deg"] * bool(azimuths)
+    )

@@ -312,11 +312,14 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
         azimuth_error_rad=bearing.azimuth_error_rad,
         elevation_rad=bearing.elevation_rad,
         elevation_error_rad=bearing.elevation_error_rad,
+        azimuth_alternatives_rad=tuple(other.azimuth_rad for other in bearing.alternatives),
+        elevation_alternatives_rad=tuple(other.elevation_rad for other in bearing.alternatives),
     )
     if per_cell == 1:
         return [point]
     still = compensate_motion(echo.amplitude, interval, bearing.delay_rate)
-    return [replace(point, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
+    alone = replace(point, azimuth_alternatives_rad=(), elevation_alternatives_rad=())
+    return [replace(alone, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
 
 
 def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
@@ -333,8 +336,13 @@ def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
 
 
 def _ambiguous(points: list[Detection]) -> list[str]:
-    """A warning of ambiguous range rates."""
-    count = sum(bool(point.range_rate_alternatives_m_per_s) for point in points)
-    if not count:
-        return []
-    return [f"range rate: ambiguous for {count} of {len(points)} detections, alternatives listed"]
+    """Warnings of ambiguous range rates and directions."""
+    counts = {
+        "range rate": sum(bool(point.range_rate_alternatives_m_per_s) for point in points),
+        "direction": sum(bool(point.azimuth_alternatives_rad) for point in points),
+    }
+    return [
+        f"{name}: ambiguous for {count} of {len(points)} detections, alternatives listed"
+        for name, count in counts.items()
+        if count
+    ]

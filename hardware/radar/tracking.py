@@ -28,7 +28,8 @@ from hardware.records.state import QuaternionPose
 
 Array = NDArray[np.float64]
 
-#: Measurements of one detection, likeliest first; several where its range rate is ambiguous.
+#: Measurements of one detection, likeliest first; several where its range rate or direction is
+#: ambiguous.
 Readings = tuple[TargetMeasurement, ...]
 
 _NEVER = 1e9  # cost of an impossible pair, far above any other
@@ -163,7 +164,7 @@ class Tracker:
                     pair for pair in pairs if pair[0].distance <= limits[pair[0].n_measured - 1]
                 ]
                 if len(fitting) > 1:  # still open
-                    least = _range_alone(ranged[j])
+                    least = _common(ranged[j])
                     fitting = [(update_estimate(track.estimate, least, antenna), least)]
                 if fitting:
                     gated[i, j] = fitting[0]
@@ -171,7 +172,7 @@ class Tracker:
 
     def _new(self, readings: Readings, antenna: AntennaState) -> TargetTrack:
         self._started += 1
-        sure = readings[0] if len(readings) == 1 else _range_alone(readings)
+        sure = _common(readings)
         estimate = initial_estimate(sure, antenna, self.first_speed_m_per_s)
         return TargetTrack(self._started, estimate.state, estimate.covariance, 1, 0)
 
@@ -197,16 +198,20 @@ def _measurements(detection: Detection) -> Readings:
     error = np.array(
         [detection.range_error_m, detection.azimuth_error_rad, detection.range_rate_error_m_per_s]
     )
-    values = [(detection.range_m, detection.azimuth_rad, detection.range_rate_m_per_s)]
+    azimuths = (detection.azimuth_rad, *detection.azimuth_alternatives_rad)
+    values = [(detection.range_m, azimuth, detection.range_rate_m_per_s) for azimuth in azimuths]
     values += [
         (detection.range_m, np.nan, rate) for rate in detection.range_rate_alternatives_m_per_s
     ]
     return tuple(TargetMeasurement(np.array(value), error) for value in values)
 
 
-def _range_alone(readings: Readings) -> TargetMeasurement:
-    """The measurement of the range, which all alternatives of a detection have in common."""
-    return replace(readings[0], value=np.array([readings[0].value[0], np.nan, np.nan]))
+def _common(readings: Readings) -> TargetMeasurement:
+    """The measurement of what all alternatives of a detection have in common."""
+    values = np.stack([reading.value for reading in readings])
+    return replace(
+        readings[0], value=np.where((values == values[0]).all(axis=0), values[0], np.nan)
+    )
 
 
 def _antenna(
