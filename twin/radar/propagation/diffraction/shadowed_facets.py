@@ -154,6 +154,8 @@ def front_facets(obstacles: Screens, body: int) -> Facets:
 def in_voxels(facets: Facets, size_m: Array) -> Facets:
     """With each cell divided into smaller ones of a size, (n_cells,)."""
     voxel = np.floor(facets.middle / size_m[facets.cell][:, None]).astype(np.int64)
-    keys = np.column_stack([facets.cell, voxel])
-    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    voxel -= voxel.min(axis=0, initial=0)
+    sizes = (int(facets.cell.max(initial=0)) + 1, *(voxel.max(axis=0, initial=0) + 1).tolist())
+    keys = np.ravel_multi_index((facets.cell, *voxel.T), sizes)
+    _, cell = np.unique(keys, return_inverse=True)
     return replace(facets, cell=cell.reshape(-1))
