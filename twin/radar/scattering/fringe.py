@@ -15,7 +15,7 @@ half-plane's current beyond the end is scaled to the wedge's own diffraction coe
 Fields go with exp(+j omega t); the impedance of free space is taken out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,10 @@ class Incidence:
     mu: Array
     end_m: Array
 
+    def take(self, rows: NDArray[np.intp]) -> "Incidence":
+        """Only some of them, by index."""
+        return Incidence(*(getattr(self, f.name)[rows] for f in fields(Incidence)))
+
 
 def observed(
     n: Array, phi0: Array, cos_beta0: Array, towards_x: Array, towards_z: Array, end_m: Array
@@ -62,15 +66,14 @@ def moment(
     sine = np.sqrt(1 - at.cos_beta0**2)
     k = wavenumber * sine
     pole = -np.cos(at.phi0)
-    step = np.where(np.abs(at.mu - pole) < _NEAR_POLE, _NEAR_POLE, 0.0)
-    hard, slope, soft = (
-        (one + other) / 2
-        for one, other in zip(
-            _integrals(at, np.where(step > 0, pole + step, at.mu), k),
-            _integrals(at, np.where(step > 0, pole - step, at.mu), k),
-            strict=True,
-        )
-    )
+    near = np.flatnonzero(np.abs(at.mu - pole) < _NEAR_POLE)
+    mu = at.mu.copy()
+    mu[near] = pole[near] + _NEAR_POLE
+    hard, slope, soft = _integrals(at, mu, k)
+    if len(near):  # the mean of both sides of the pole
+        other = _integrals(at.take(near), pole[near] - _NEAR_POLE, k[near])
+        for values, beyond in zip((hard, slope, soft), other, strict=True):
+            values[near] = (values[near] + beyond) / 2
     x = h_z * hard
     z = 1j * wavenumber / k**2 * (at.cos_beta0 * h_z * slope - e_z * soft)
     return x, z

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from twin.radar.propagation.diffraction.knife_edge import (
     missing_edge_factor,
 )
 from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -82,9 +84,9 @@ def rim_paths(
     amplitude: over its edges and over their ends.
     """
     pairs = _pairs(rim, places - source, wavenumber, farthest(faintest))
-    ends = [_end_paths(rim, pairs, end, _NEGLIGIBLE * faintest) for end in (0, 1)]
+    ends = [_end_paths(pairs, end, _NEGLIGIBLE * faintest) for end in (0, 1)]
     paths = DiffractedPaths.concatenate(
-        [_edge_paths(rim, pairs), _summed_at_corners(DiffractedPaths.concatenate(ends))]
+        [_edge_paths(pairs), _summed_at_corners(DiffractedPaths.concatenate(ends))]
     )
     return replace(paths, stops=paths.stops + source)
 
@@ -93,7 +95,7 @@ def edge_paths(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
 ) -> DiffractedPaths:
     """Only the paths over edges, without those over their ends."""
-    paths = _edge_paths(rim, _pairs(rim, places - source, wavenumber, farthest(faintest)))
+    paths = _edge_paths(_pairs(rim, places - source, wavenumber, farthest(faintest)))
     return replace(paths, stops=paths.stops + source)
 
 
@@ -113,22 +115,37 @@ def near_edges(
 class _Pairs:
     """Pairs of a point and an edge near the direct path to it, (n, ...).
 
-    ``direct`` is the vector from the source to the point; ``lit_m`` (n,) the point's distance from
-    the shadow's border, positive in the light; the shortest path over the edge's line meets it
-    ``at`` (m) from the first end and is longer than the direct path by a phase ``q``.
+    ``places`` (m, 3) are all points relative to the source; the shortest path over the edge's line
+    meets it ``at`` (m) from the first end and is longer than the direct path by a phase ``q``.
     """
 
+    rim: Outline
+    places: Array
     point: Indices
     edge: Indices
-    direct: Array
-    lit_m: Array
     at: Array
     q: Array
     wavenumber: float
 
+    def take(self, which: NDArray[Any]) -> "_Pairs":
+        """Only some of them, by index or mask."""
+        point, edge, at, q = (x[which] for x in (self.point, self.edge, self.at, self.q))
+        return _Pairs(self.rim, self.places, point, edge, at, q, self.wavenumber)
+
+    @cached_property
+    def direct(self) -> Array:
+        """Vectors (n, 3) from the source to the point."""
+        direct: Array = self.places[self.point]
+        return direct
+
+    @cached_property
+    def lit_m(self) -> Array:
+        """The point's distance (n,) from the shadow's border, positive in the light."""
+        return dots(self.rim.lit[self.edge], self.direct)
+
     def depth(self, place: Array) -> Array:
         """How far along the direct path places are, 0 to 1."""
-        depth: Array = np.sum(place * self.direct, axis=1) / np.sum(self.direct**2, axis=1)
+        depth: Array = dots(place, self.direct) / dots(self.places, self.places)[self.point]
         return depth
 
 
@@ -148,10 +165,11 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     more = np.maximum(2 * (off_source * off_place + off_source**2 - across), 0)
     q = np.maximum(wavenumber * more / (np.sqrt(square + more) + np.sqrt(square)), 1e-12)
     i, j = np.nonzero(q <= most)
-    both = np.maximum(off_source[j] + off_place[i, j], 1e-300)
+    off_place = off_place[i, j]
+    both = np.maximum(off_source[j] + off_place, 1e-300)
     at_place = at_source[j] + forward[i, j]
-    at = (at_source[j] * off_place[i, j] + at_place * off_source[j]) / both
-    return _Pairs(i, j, direct[i], np.sum(rim.lit[j] * direct[i], axis=1), at, q[i, j], wavenumber)
+    at = (at_source[j] * off_place + at_place * off_source[j]) / both
+    return _Pairs(rim, direct, i, j, at, q[i, j], wavenumber)
 
 
 def _along(rim: Outline) -> tuple[Array, Array]:
@@ -161,76 +179,79 @@ def _along(rim: Outline) -> tuple[Array, Array]:
     return side / length[:, None], length
 
 
-def _edge_paths(rim: Outline, pairs: _Pairs) -> DiffractedPaths:
+def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     """Paths over the edge itself, where the shortest path meets it between its ends."""
-    along, length = (x[pairs.edge] for x in _along(rim))
-    place = rim.ends[pairs.edge, 0] + pairs.at[:, None] * along
+    rim, (along, length) = pairs.rim, _along(pairs.rim)
+    pairs = pairs.take((pairs.at > 0) & (pairs.at < length[pairs.edge]))
+    place = rim.ends[pairs.edge, 0] + pairs.at[:, None] * along[pairs.edge]
     depth = pairs.depth(place)
-    inside = (pairs.at > 0) & (pairs.at < length) & (depth > 0) & (depth < 1)
-    some = np.flatnonzero(inside)
-    sign = np.where(pairs.lit_m[some] > 0, -1, 1)
-    amplitude = sign * knife_edge_factor(pairs.q[some])
-    lit_m = (pairs.lit_m * depth)[some]
+    some = np.flatnonzero((depth > 0) & (depth < 1))
+    pairs, place, depth = pairs.take(some), place[some], depth[some]
+    sign = np.where(pairs.lit_m > 0, -1, 1)
+    amplitude = sign * knife_edge_factor(pairs.q)
     # Next to an end, where another rim may begin, the light is between both.
-    to_end = np.stack([pairs.at, length - pairs.at], axis=1)
+    to_end = np.stack([pairs.at, length[pairs.edge] - pairs.at], axis=1)
     end = to_end.argmin(axis=1)
-    is_next = to_end.min(axis=1) < _beside_m(rim, pairs, place)
+    beside_m = _beside_m(pairs, place)
+    is_next = to_end.min(axis=1) < beside_m
     aside = np.where(is_next[:, None], rim.aside[pairs.edge, end], rim.lit[pairs.edge])
-    return _paths_by(rim, pairs, some, place, pairs.q, along, aside, amplitude, lit_m)
+    aside *= beside_m[:, None]
+    lit_m = pairs.lit_m * depth
+    return _paths_by(pairs, place, pairs.q, along[pairs.edge], aside, amplitude, lit_m)
 
 
-def _end_paths(rim: Outline, pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
+def _end_paths(pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
     """Paths over one end of edges, which subtract the edge missing beyond it; ``item``: the
     corner.
     """
-    place = rim.ends[pairs.edge, end]
-    length = np.linalg.norm(pairs.direct, axis=1)
-    broken = np.linalg.norm(place, axis=1) + np.linalg.norm(pairs.direct - place, axis=1)
-    p = np.maximum(pairs.wavenumber * (broken - length) - pairs.q, 0)
+    rim, ends = pairs.rim, pairs.rim.ends[:, end]
+    depth = pairs.depth(ends[pairs.edge])
+    pairs = pairs.take((depth > 0) & (depth < 1))
+    place = ends[pairs.edge]
+    broken = lengths(ends)[pairs.edge] + lengths(pairs.direct - place)
+    straight = lengths(pairs.places)[pairs.point]
+    p = np.maximum(pairs.wavenumber * (broken - straight) - pairs.q, 0)
     # Its level, by the first term of its asymptotic series.
     level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
-    depth = pairs.depth(place)
-    some = np.flatnonzero((depth > 0) & (depth < 1) & (level > faintest))
+    some = np.flatnonzero(level > faintest)
+    pairs, place, p = pairs.take(some), place[some], p[some]
     inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
-    turn = np.where(pairs.lit_m[some] > 0, 1, -1) * np.where(inwards[some] > 0, 1, -1)
-    amplitude = turn * missing_edge_factor(pairs.q[some], p[some])
+    turn = np.where(pairs.lit_m > 0, 1, -1) * np.where(inwards > 0, 1, -1)
+    amplitude = turn * missing_edge_factor(pairs.q, p)
     none, far = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
-    aside = rim.aside[pairs.edge, end]
-    paths = _paths_by(rim, pairs, some, place, pairs.q + p, none, aside, amplitude, far)
-    return replace(paths, item=rim.corner[pairs.edge[some], end])
+    aside = _beside_m(pairs, place)[:, None] * rim.aside[pairs.edge, end]
+    paths = _paths_by(pairs, place, pairs.q + p, none, aside, amplitude, far)
+    return replace(paths, item=rim.corner[pairs.edge, end])
 
 
 def _paths_by(
-    rim: Outline,
     pairs: _Pairs,
-    some: Indices,
     place: Array,
     radians: Array,
     along: Array,
-    into_light: Array,
+    aside: Array,
     amplitude: NDArray[np.complex128],
     lit_m: Array,
 ) -> DiffractedPaths:
-    """Some of the pairs as paths, each by way of a place."""
-    aside = (_beside_m(rim, pairs, place)[:, None] * into_light)[some]
+    """Pairs as paths, each by way of a place."""
     return DiffractedPaths(
-        point=pairs.point[some],
-        item=np.zeros(len(some), dtype=np.int64),
-        edge=rim.edge[pairs.edge[some]],
-        stops=np.repeat(place[some][:, None], 2, axis=1),
+        point=pairs.point,
+        item=np.zeros(len(pairs.point), dtype=np.int64),
+        edge=pairs.rim.edge[pairs.edge],
+        stops=np.repeat(place[:, None], 2, axis=1),
         aside=np.repeat(aside[:, None], 2, axis=1),
-        along=along[some],
+        along=along,
         amplitude=amplitude,
-        longer_m=radians[some] / pairs.wavenumber,
+        longer_m=radians / pairs.wavenumber,
         lit_m=lit_m,
     )
 
 
-def _beside_m(rim: Outline, pairs: _Pairs, place: Array) -> Array:
+def _beside_m(pairs: _Pairs, place: Array) -> Array:
     """How far from a place on an obstacle a path passes by it."""
-    there, back = (np.linalg.norm(x, axis=1) for x in (place, pairs.direct - place))
+    there, back = lengths(place), lengths(pairs.direct - place)
     zone: Array = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
-    return np.minimum(BESIDE * zone, rim.room_m[pairs.edge] / 2)
+    return np.minimum(BESIDE * zone, pairs.rim.room_m[pairs.edge] / 2)
 
 
 def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:

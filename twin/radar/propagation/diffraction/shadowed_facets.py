@@ -1,6 +1,5 @@
 """Facets of a body that faces the radar, in cells."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +15,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
+FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +68,8 @@ class Facets:
         """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
         rad/m.
         """
-        return self.means(slope, (1.0,))[0]
-
-    def means(self, slope: Array, wavenumbers: Sequence[float]) -> list[Complex]:
-        """The same for slopes (n, 3) times each of some wave numbers."""
         length_m = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
-        ends = np.sort(length_m, axis=1).T
-        return [_mean(*(k * ends)) for k in wavenumbers]
+        return _mean(*np.sort(length_m, axis=1).T)
 
     def take(self, which: Any) -> "Facets":
         """Only some of them, by index or mask."""
@@ -128,7 +122,7 @@ class Facets:
 
 def _mean(a: Array, b: Array, c: Array) -> Complex:
     """Mean of exp(j phase) over triangles with these phases at the corners, the least first."""
-    is_flat = c - a <= _FLAT_RAD
+    is_flat = c - a <= FLAT_RAD
     mean: Complex = 2 * (_along(b, c) - _along(a, b)) / (1j * np.where(is_flat, 1.0, c - a))
     return np.where(is_flat, 1 - (a**2 + b**2 + c**2) / 24, mean)
 
@@ -160,6 +154,8 @@ def front_facets(obstacles: Screens, body: int) -> Facets:
 def in_voxels(facets: Facets, size_m: Array) -> Facets:
     """With each cell divided into smaller ones of a size, (n_cells,)."""
     voxel = np.floor(facets.middle / size_m[facets.cell][:, None]).astype(np.int64)
-    keys = np.column_stack([facets.cell, voxel])
-    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    voxel -= voxel.min(axis=0, initial=0)
+    sizes = (int(facets.cell.max(initial=0)) + 1, *(voxel.max(axis=0, initial=0) + 1).tolist())
+    keys = np.ravel_multi_index((facets.cell, *voxel.T), sizes)
+    _, cell = np.unique(keys, return_inverse=True)
     return replace(facets, cell=cell.reshape(-1))

@@ -33,7 +33,7 @@ from twin.radar.propagation.facets.reflections import (
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import visible_samples
 from twin.radar.propagation.facets.triangles import Triangles, split_in_four
-from twin.radar.propagation.facets.tubes import Tubes, reflected_on, with_receivers
+from twin.radar.propagation.facets.tubes import Tubes, receivers_of, reflected_on
 from twin.radar.propagation.facets.uniform_subdivision import sizes, spacing_of, subdivided
 from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.facets.wideband import contributions_of
@@ -386,7 +386,7 @@ class _Search:
             rest = np.flatnonzero(~seen & ~(lit.is_ray & is_thorough))
             for rows in portions(rest, 4):
                 thoroughly = np.full(len(rows), is_thorough)
-                clear = visible_samples(self.context, lit.take(rows), thoroughly)
+                clear = visible_samples(self.context, lit.gather(rows), thoroughly)
                 seen[rows] = clear.any(axis=0)
         return seen
 
@@ -403,14 +403,23 @@ class _Search:
 
     def counts(self, lit: Triangles | FrontFacets) -> NDArray[np.bool_]:
         """Whether paths are echoes of bodies that count, and within these bodies' limits."""
-        counts = np.ones(len(lit), dtype=bool)
+        ends = np.array(lit.source), np.array(lit.receiver)
+        return self._count(lit.body, lit.bounces, *ends)
+
+    def _count(
+        self,
+        body: NDArray[np.intp],
+        bounces: NDArray[np.uint8],
+        source: NDArray[np.integer],
+        receiver: NDArray[np.integer],
+    ) -> NDArray[np.bool_]:
+        counts = np.ones(len(body), dtype=bool)
         if self.bodies is not None:
-            counts &= self.bodies[lit.body]
+            counts &= self.bodies[body]
         if self.limits is not None:
             order = np.array([len(image.patches) for image in self.images])
-            images = np.maximum(order[np.array(lit.source)], order[np.array(lit.receiver)])
-            counts &= lit.bounces <= self.limits.bounces[lit.body]
-            counts &= images <= self.limits.images[lit.body]
+            counts &= bounces <= self.limits.bounces[body]
+            counts &= np.maximum(order[source], order[receiver]) <= self.limits.images[body]
         return counts
 
     def part_of(
@@ -484,24 +493,28 @@ class _Search:
         if len(generations) == 1:
             return None
         tubes = Tubes.concatenate(generations[1:])
-        lit, row = with_receivers(self.context, self.scatterers, tubes.triangles, self.images)
+        every = tubes.triangles
+        row, receiver = receivers_of(self.context, self.scatterers, every, self.images)
         if self.footprints is not None:
             times = np.repeat(
                 np.arange(1, len(generations)), [len(part.root) for part in generations[1:]]
             )
             goes_on = tubes.is_lit & (times < self.bounces - 1)
-            self.footprints.append(
-                Footprints.of(self.context, tubes, goes_on, row, np.array(lit.receiver))
-            )
+            self.footprints.append(Footprints.of(self.context, tubes, goes_on, row, receiver))
         if self.by_bounds or self.bodies is not None:
-            counts = np.flatnonzero(self.counts(lit))
-            lit, row = lit.take(counts), row[counts]
+            source = np.array(every.source)[row]
+            some = self._count(every.body[row], every.bounces[row], source, receiver)
+            row, receiver = row[some], receiver[some]
+        if not len(row):
+            return None
+        lit = every.towards(row, receiver)
         if self.by_bounds:
             seen = np.flatnonzero(self.may_be_seen(lit))
             lit, row = lit.take(seen), row[seen]
         if not len(row):
             return None
-        parts = (lit.take(rows) for rows in portions(np.arange(len(lit))))
+        portion = list(portions(np.arange(len(lit))))
+        parts = [lit] if len(portion) == 1 else (lit.take(rows) for rows in portion)
         echoes = Echoes.concatenate(
             [echoes_of(self.context, self.scatterers, part) for part in parts]
         )

@@ -66,6 +66,8 @@ def visible_samples(
     inside is tested and its result is that of all.
     """
     n, often = len(lit), np.flatnonzero(thoroughly & ~lit.is_ray)
+    if not len(often):
+        return np.tile(np.array(is_visible(context, lit, lit.lit_point)), (4, 1))
     index = np.concatenate([np.arange(n), np.tile(often, 3)])
     corner = np.concatenate([np.full(n, 3), np.repeat(np.arange(3), len(often))])
     some = lit.gather(index)

@@ -155,6 +155,11 @@ class Triangles:
         """Only some of them, by index."""
         return self.gather(which).evaluate()
 
+    def towards(self, row: Indices, receiver: NDArray[np.uint32]) -> "Triangles":
+        """Some of them, by index, each with an image as receiver."""
+        receivers = type(self.face)(aligned(receiver))
+        return replace(self.gather(row), receiver=receivers).evaluate()
+
     def with_own_waves(self) -> "Triangles":
         """The same with the waves that light them alone, where most of the waves light others."""
         if self.waves is None:

@@ -352,10 +352,11 @@ def _lit_on(
     return triangles
 
 
-def with_receivers(
+def receivers_of(
     context: TracingContext, scatterers: Scatterers, lit: Triangles, images: Sequence[Image]
-) -> tuple[Triangles, NDArray[np.intp]]:
-    """Lit triangles paired with every image on their lit side as receiver, and the row of each.
+) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
+    """Every pair of a lit triangle and an image on its lit side as receiver: the row of the
+    triangle, and the number of the image.
 
     An echo between two different images is a separate path in each direction, with different last
     facets.
@@ -370,7 +371,5 @@ def with_receivers(
         some = np.flatnonzero(scatterers.reachable[number][face])
         some = some[(normal[some] @ image.place - plane[some]) * side[some] > 0]
         rows.append(some)
-        receivers.append(np.full(len(some), number))
-    row, receiver = np.concatenate(rows), np.concatenate(receivers)
-    lit = lit.take(row)
-    return replace(lit, receiver=context.mi.UInt32(aligned(receiver.astype(np.uint32)))), row
+        receivers.append(np.full(len(some), number, dtype=np.uint32))
+    return np.concatenate(rows), np.concatenate(receivers)
