@@ -18,8 +18,8 @@ from benchmarks.timing import Figure
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.radar import load_radar
-from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of
+from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun

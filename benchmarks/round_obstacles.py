@@ -24,8 +24,8 @@ from twin.fidelity import DEFAULT
 from twin.radar import RadarDesign, load_radar
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted, echoes_behind
 from twin.radar.propagation.diffraction.screens import screens
-from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of, label_of, summed_by
+from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.physical_optics import at_antenna, followed_everywhere, loss_of
 from twin.radar.propagation.physical_optics_solver import MOST_SHADOWED

@@ -15,8 +15,8 @@ from benchmarks.stated_errors.judged import Cheapest, Judged
 from benchmarks.stated_errors.radar_cases import RadarCase
 from benchmarks.timing import processor_time
 from twin.fidelity import Fidelity, Tolerance
-from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.convergence import band_of
+from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.solvers import trace

@@ -26,8 +26,8 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.diagnostics import _unconverged
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.facets.adaptive_subdivision import Budget
 from twin.radar.propagation.facets.convergence import BodyEcho, band_of, body_echoes, unconverged
+from twin.radar.propagation.facets.error_budget import Budget
 from twin.radar.propagation.physical_optics import wave_numbers
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace

@@ -24,8 +24,8 @@ from twin.radar import radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.intervals import body_level
 from twin.radar.propagation.facets import body_scattering
-from twin.radar.propagation.facets.adaptive_subdivision import Budget
 from twin.radar.propagation.facets.convergence import band_of, summed_by
+from twin.radar.propagation.facets.error_budget import Budget
 from twin.radar.propagation.physical_optics import (
     at_antenna,
     diffracted,

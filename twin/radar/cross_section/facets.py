@@ -17,8 +17,9 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba
 from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
-from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, subdivided_adaptively
+from twin.radar.propagation.facets.adaptive_subdivision import subdivided_adaptively
 from twin.radar.propagation.facets.currents import amplitude_of, echoes_of
+from twin.radar.propagation.facets.error_budget import Budget, Leaves
 from twin.radar.propagation.facets.front_facets import lit_facets
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.shadows import visible_samples

@@ -12,10 +12,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.facets.adaptive_subdivision import Budget, Leaves, subdivided_adaptively
+from twin.radar.propagation.facets.adaptive_subdivision import subdivided_adaptively
 from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.propagation.facets.currents import Echoes, echoes_of
 from twin.radar.propagation.facets.earlier import Footprints, Sums, TracedEchoes
+from twin.radar.propagation.facets.error_budget import Budget, Leaves
 from twin.radar.propagation.facets.front_facets import (
     FrontFacets,
     bistatic_facets,

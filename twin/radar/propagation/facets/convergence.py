@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from hardware.waveform import OfdmWaveform
-from twin.radar.propagation.facets.adaptive_subdivision import WEAKEST
 from twin.radar.propagation.facets.band_sums import band_sums
+from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]

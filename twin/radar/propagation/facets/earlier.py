@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.facets.adaptive_subdivision import Leaves
+from twin.radar.propagation.facets.error_budget import Leaves
 from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.propagation.facets.adaptive_subdivision import Leaves
 from twin.radar.propagation.facets.currents import level_at
+from twin.radar.propagation.facets.error_budget import Leaves
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, incident_on
 from twin.radar.propagation.one_way.internal_reflections import (
