@@ -24,11 +24,11 @@ from twin.fidelity import DEFAULT
 from twin.radar import RadarDesign, load_radar
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted, echoes_behind
 from twin.radar.propagation.diffraction.screens import screens
+from twin.radar.propagation.effects_by_bounds import MOST_SHADOWED
 from twin.radar.propagation.facets.convergence import band_of, label_of, summed_by
 from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.physical_optics import at_antenna, followed_everywhere, loss_of
-from twin.radar.propagation.physical_optics_solver import MOST_SHADOWED
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import trace

@@ -69,14 +69,15 @@ def count_choosing() -> None:
     from twin.camera import light_within
     from twin.optics.adaptive import _Part
     from twin.optics.problem import LightProblem
-    from twin.radar.propagation import physical_optics, physical_optics_solver
+    from twin.radar.propagation import effects_by_bounds, physical_optics, physical_optics_solver
 
     count(light_within, "gather_within", _CHOOSING)
     count(_Part, "draw", _CHOOSING, sign=-1)
     count(LightProblem, "largest_indirect", _CHOOSING)
     count(physical_optics, "edge_bound", _CHOOSING)
-    for name in ("silent_objects", "on_faint_bodies", "on_edges", "on_reflections"):
-        count(physical_optics_solver, name, _CHOOSING)
+    count(physical_optics_solver, "silent_objects", _CHOOSING)
+    for name in ("on_faint_bodies", "on_edges", "on_reflections"):
+        count(effects_by_bounds, name, _CHOOSING)
 
 
 def costs(scene: str, folder: Path) -> dict[str, float]:

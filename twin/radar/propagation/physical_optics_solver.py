@@ -1,46 +1,29 @@
 """The solver of physical optics: all echoes of a scene, paths by name and dense ones."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
-from time import perf_counter
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.waveform import OfdmWaveform
-from twin.accuracy import Decision
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.decisions import (
-    on_edges,
-    on_faint_bodies,
-    on_reflections,
-    on_round_obstacles,
-)
-from twin.radar.propagation.diffraction.behind_obstacles import Accepted
 from twin.radar.propagation.diffraction.screens import screens
-from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
-from twin.radar.propagation.facets.convergence import (
-    BodyEcho,
-    band_of,
-    body_echoes,
-    reference_levels,
-    spans_by,
-    summed_by,
-    unconverged,
+from twin.radar.propagation.effects_by_bounds import (
+    body_levels,
+    faint_bodies,
+    further_reflections,
+    round_obstacles,
+    sharp_edges,
 )
+from twin.radar.propagation.facets.convergence import unconverged
 from twin.radar.propagation.facets.earlier import TracedFrame
-from twin.radar.propagation.facets.reflections import MOST_IMAGES, ReflectionChoice
+from twin.radar.propagation.facets.reflections import MOST_IMAGES
 from twin.radar.propagation.left_out import on_meshes
 from twin.radar.propagation.one_way.motion import target_motion
 from twin.radar.propagation.physical_optics import (
-    Scattered,
     at_antenna,
-    behind,
-    diffracted,
-    edge_bounds,
-    followed_everywhere,
     loss_of,
     scattered,
     surface_clutter,
@@ -48,7 +31,6 @@ from twin.radar.propagation.physical_optics import (
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.roughness import absorbing_surfaces, rough_surfaces, smooth_bodies
-from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
@@ -102,18 +84,18 @@ def echoes(
         followed_s=followed_s,
     )
     lit = at_antenna(of_bodies.contributions, prepared, radar)
-    round_obstacles = _round_obstacles(
-        prepared, radar, fidelity, _levels(prepared, radar, fidelity, of_bodies, lit), lit
+    behind = round_obstacles(
+        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit), lit
     )
-    shadowed = at_antenna(round_obstacles.echoes, prepared, radar)
+    shadowed = at_antenna(behind.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
-    levels = _levels(prepared, radar, fidelity, of_bodies, surfaces)
-    decisions = [*on_roughness, *_on_faint_bodies(prepared, radar, levels)]
+    levels = body_levels(prepared, radar, fidelity, of_bodies, surfaces)
+    decisions = [*on_roughness, *faint_bodies(prepared, radar, levels)]
     left_out = np.zeros(len(levels.names))
     for decided, missing in (
-        _reflections(levels, fidelity, of_bodies.choice, radar),
-        (edges := _edges(prepared, radar, fidelity, levels)).decided,
-        round_obstacles.decided_by(levels),
+        further_reflections(levels, fidelity, of_bodies.choice, radar),
+        (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
+        behind.decided_by(levels),
     ):
         decisions += decided
         left_out += missing
@@ -140,15 +122,15 @@ def echoes(
                 len(prepared.world.face_ranges),
                 len(levels.names),
                 edges.n_left_out,
-                round_obstacles.n_left_out(levels),
-                round_obstacles.too_large,
+                behind.n_left_out(levels),
+                behind.too_large,
             ),
             *prepared.assumptions,
             *edges.remarks,
             *on_clutter,
             *smooth_bodies(scene, radar, roles, fidelity),
             *unbounded,
-            *round_obstacles.remarks,
+            *behind.remarks,
             *unconverged(bodies),
         ),
         heard=_heard(every.take(slice(len(names), None)), prepared, radar),
@@ -222,53 +204,6 @@ def _echo_paths(prepared: PreparedScene) -> int:
     return int((faces * images * (images + 1) // 2)[is_body].sum())
 
 
-@dataclass(frozen=True, eq=False)
-class _Levels:
-    """Bodies by the ``names`` of their objects, their ``echo`` over the band (n_bodies,
-    n_frequencies), the levels that errors are relative to, ``reference`` (n_bodies,), and their
-    spans in range and rate.
-    """
-
-    names: list[tuple[str, ...]]
-    of_object: NDArray[np.int32]
-    echo: NDArray[np.complex128]
-    reference: Array
-    tolerance: float
-    floor: float
-    spans: Array
-
-    @property
-    def permitted(self) -> float:
-        """Of each effect that is left out."""
-        return OF_TOLERANCE * self.tolerance
-
-    def bodies(self, error: Array, left_out: Array, *, is_bounded: bool) -> tuple[BodyEcho, ...]:
-        """With their errors and bounds of what is left out, the latter relative."""
-        limits = self.tolerance, self.floor
-        return body_echoes(
-            self.names, self.echo, error, *limits, left_out, self.spans, is_bounded=is_bounded
-        )
-
-    def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "_Levels":
-        """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""
-        silent: NDArray[np.bool_] = ~np.asarray(self.echo.any(axis=1))
-        owner = self.of_object[edges.object]
-        owner = np.where((owner >= 0) & silent[owner], owner, -1)
-        count = len(self.names)
-        echo = summed_by(owner, count, edges, wave.carrier_hz, band_of(wave))
-        spans = np.where(silent[:, None, None], spans_by(owner, count, edges), self.spans)
-        return replace(self, echo=self.echo + echo, spans=spans)
-
-
-#: Cells of bodies that answer round obstacles' edges, at most.
-MOST_SHADOWED = 1000
-
-_NOTHING = 1e-6  # of what is permitted: a number of cells is computed however faint
-
-#: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
-_Decided = tuple[tuple[Decision, ...], Array]
-
-
 def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
     """What fixed knobs leave out, without a bound."""
     left_out = {
@@ -283,174 +218,6 @@ def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
     if not told:
         return ()
     return (f"stated errors do not hold what {', '.join(told)} add: a tolerance bounds it",)
-
-
-def _levels(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    of_bodies: Scattered,
-    surfaces: Contributions,
-) -> _Levels:
-    body, wave = of_bodies.body, radar.ofdm
-    count = len(of_bodies.error)
-    owner = body[surfaces.object]
-    echo = summed_by(owner, count, surfaces, wave.carrier_hz, band_of(wave))
-    names = [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)]
-    tolerance, floor = fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar)
-    reference = reference_levels(echo, tolerance, floor)
-    spans = spans_by(owner, count, surfaces)
-    return _Levels(names, body, echo, reference, tolerance, floor, spans)
-
-
-@dataclass(frozen=True, eq=False)
-class _RoundObstacles:
-    """Echoes of bodies round others, without gains; bounds of these and of what is left out of
-    them, in amplitude (n_bodies,), bodies too large to be looked at, and the time that they took.
-    """
-
-    echoes: Contributions
-    bound: Array
-    left_out: Array
-    too_large: int
-    cost_s: float
-    is_decided: bool
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What is assumed of them."""
-        if not len(self.echoes):
-            return ()
-        return (
-            "waves round obstacles' edges are reflected once at bodies, and at no large surface",
-        )
-
-    def decided_by(self, levels: _Levels) -> _Decided:
-        """What was decided, relative to the levels that errors are relative to."""
-        if not self.is_decided:
-            return (), np.zeros(len(levels.names))
-        bound, left_out = (part / levels.reference for part in (self.bound, self.left_out))
-        decisions = on_round_obstacles(levels.names, bound, left_out, levels.permitted, self.cost_s)
-        return decisions, left_out
-
-    def n_left_out(self, levels: _Levels) -> int:
-        """To how many bodies none is taken since bounds say so."""
-        is_taken = self.bound > levels.permitted * levels.reference
-        is_left_out = (self.left_out > 0) & ~is_taken
-        return int(np.count_nonzero(is_left_out)) if self.is_decided else 0
-
-
-def _round_obstacles(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    levels: _Levels,
-    lit: Contributions,
-) -> _RoundObstacles:
-    """Of all bodies, or by bounds of those whose echo they may change too much."""
-    nothing = np.zeros(len(levels.names))
-    most = fidelity.radar_shadowed
-    if most == 0 or len(prepared.world.face_ranges) < 2 or not len(nothing):
-        return _RoundObstacles(Contributions.none(), nothing, nothing, 0, 0.0, most is None)
-    began_s, loss = perf_counter(), loss_of(radar)
-    accepted = Accepted(
-        limit=(1.0 if most is None else _NOTHING) * levels.permitted * levels.reference / loss,
-        most=MOST_SHADOWED if most is None else most,
-        fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
-        faintest=followed_everywhere(fidelity),
-    )
-    found = behind(prepared, radar, fidelity, accepted)
-
-    def level(echoes: Contributions) -> Array:
-        owner, band = levels.of_object[echoes.object], band_of(radar.ofdm)
-        echo = summed_by(owner, len(nothing), echoes, radar.ofdm.carrier_hz, band)
-        rms: Array = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
-        return rms
-
-    # Echoes over mirrors, which are not followed round obstacles, may change by as much as others.
-    is_direct = (lit.source == 0) & (lit.receiver == 0)
-    changed = level(at_antenna(found.contributions, prepared, radar))
-    straight = np.maximum(level(lit.take(np.flatnonzero(is_direct))), 1e-300)
-    over_mirrors = level(lit.take(np.flatnonzero(~is_direct)))
-    mirrored = np.minimum(changed / straight, 1.0) * over_mirrors
-    return _RoundObstacles(
-        found.contributions,
-        found.bound * loss,
-        found.left_out * loss + mirrored,
-        int(np.count_nonzero(found.too_large)),
-        perf_counter() - began_s,
-        most is None,
-    )
-
-
-def _on_faint_bodies(
-    prepared: PreparedScene, radar: RadarDesign, levels: _Levels
-) -> tuple[Decision, ...]:
-    """Bodies to which no path is traced."""
-    of_body = levels.of_object
-    scatters = of_body >= 0
-    is_traced = np.zeros(len(levels.names), dtype=bool)
-    is_traced[of_body[scatters & prepared.worth.any(axis=0)]] = True
-    bound = np.zeros(len(is_traced))
-    np.add.at(bound, of_body[scatters], prepared.untraced[scatters])
-    left_out = np.flatnonzero(~is_traced)
-    names = [levels.names[k] for k in left_out]
-    return on_faint_bodies(names, bound[left_out] * loss_of(radar), noise_amplitude(radar))
-
-
-def _reflections(
-    levels: _Levels, fidelity: Fidelity, choice: ReflectionChoice | None, radar: RadarDesign
-) -> _Decided:
-    """What was decided on further reflections."""
-    if choice is None:
-        return (), np.zeros(len(levels.names))
-    level = levels.reference / loss_of(radar)
-    knobs = {"bounces": fidelity.radar_bounces, "images": fidelity.radar_images}
-    kinds = [kind for kind, knob in knobs.items() if knob is None]
-    decisions = on_reflections(choice, kinds, levels.names, level, levels.permitted)
-    return decisions, choice.left_out.sum / level
-
-
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Echoes of sharp edges, remarks on them, what was decided, and of how many bodies none of
-    them is taken since bounds say so.
-    """
-
-    echoes: Contributions
-    remarks: list[str]
-    decided: _Decided
-    n_left_out: int = 0
-
-
-def _edges(
-    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity, levels: _Levels
-) -> _Edges:
-    """Of all bodies, or by bounds of those to whose echo they may add too much."""
-    nothing = np.zeros(len(levels.names))
-    if fidelity.radar_edges is not None or not levels.names:
-        return _Edges(*diffracted(prepared, fidelity), ((), nothing))
-    began_s = perf_counter()
-    # What counts as an error, in amplitude before losses.
-    limit = levels.permitted * levels.reference / loss_of(radar)
-    bound, left_out, pairs = nothing.copy(), nothing.copy(), {}
-    for body, of_body in edge_bounds(prepared, radar).items():
-        bound[body], left_out[body] = of_body.sum, of_body.sum
-        if of_body.sum > limit[body]:
-            pairs[body], left_out[body] = of_body.worth_tracing(limit[body])
-    echoes, remarks = diffracted(prepared, fidelity, pairs)
-    cost_s = perf_counter() - began_s
-    bound, left_out = (part / limit * levels.permitted for part in (bound, left_out))
-    is_taken, has_edges = bound > levels.permitted, bound > 0
-    decisions = on_edges(
-        [name for name, has in zip(levels.names, has_edges, strict=True) if has],
-        bound[has_edges],
-        is_taken[has_edges],
-        levels.permitted,
-        cost_s,
-    )
-    n_left_out = int(np.count_nonzero(has_edges & ~is_taken))
-    return _Edges(echoes, remarks, (decisions, left_out), n_left_out)
 
 
 def _mirrors(
