@@ -1,5 +1,6 @@
 """Scenes: what loads, what is defaulted, and what never reaches the renderer."""
 
+import re
 import shutil
 import struct
 from pathlib import Path
@@ -12,6 +13,7 @@ from twin.engine import mitsuba
 from twin.files import InputError, scenes_folder
 from twin.scene import Pose, load_scene, parse_pose
 from twin.scene.materials import load_materials
+from twin.scene.meshes import read_mesh
 from twin.scene.mitsuba import mitsuba_scene
 
 XML = """<scene version="3.0.0">
@@ -256,6 +258,40 @@ def test_missing_truncated_and_foreign_mesh_files(tmp_path: Path) -> None:
     assert_refused(folder, "thing.ply", "can't be read as a mesh")
     (folder / "thing.ply").unlink()
     assert_refused(folder, "thing.ply", "no such mesh file")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.stl", b"hello world, this is no mesh", "no STL file: 28 bytes that do not begin with"),
+        ("a.stl", bytes(80) + b"\x07\0\0\0" + bytes(90), "174 bytes, expected 434 for the 7 tri"),
+        ("a.stl", b"solid a\n facet normal 0 0 1\n", "STL text without `endsolid`: cut short"),
+        ("a.obj", b"hello world, this is no mesh\n", "no OBJ file: no line begins with v, f or"),
+        ("a.ply", b"hello world, this is no mesh", "Not a ply file"),
+        *((f"a.{kind}", b"", "the file is empty") for kind in ("stl", "obj", "ply", "glb")),
+    ],
+)
+def test_garbage_is_told_apart_from_a_mesh_without_faces(
+    tmp_path: Path, name: str, content: bytes, told: str
+) -> None:
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(f"{path}: can't be read as a mesh (")) as caught:
+        read_mesh(path)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.stl", b"solid a\nendsolid a\n"),
+        ("b.stl", bytes(84)),
+        ("a.obj", b"# a cloud of points\nv 0 0 0\nv 1 0 0\n"),
+    ],
+)
+def test_a_mesh_that_truly_has_no_faces_says_so(tmp_path: Path, name: str, content: bytes) -> None:
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match="has no faces"):
+        read_mesh(path)
 
 
 @pytest.mark.parametrize("value", ["-0.5", "1.5", "nan"])
