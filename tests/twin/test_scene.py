@@ -368,6 +368,23 @@ def test_a_wrong_table_beside_the_scene_is_refused(tmp_path: Path) -> None:
         (TOML.replace("30.0", "nan"), "sun.elevation_deg"),
         (TOML.replace("1e5", "-1.0"), "sun.illuminance_lx = -1.0"),
         (TOML.replace("[0.0, 0.0, 0.0]", "[0.0, 0.0]"), "rig.position_m"),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = [1, 0]\n",
+            "objects.thing.velocity_m_per_s = [1, 0]: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = [1, 0, 0, 0]\n",
+            "objects.thing.velocity_m_per_s = [1, 0, 0, 0]: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = 3\n",
+            "objects.thing.velocity_m_per_s = 3: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing.motion.turning]\ncentre_m = []\n",
+            "objects.thing.motion.turning.centre_m = []: expected three numbers",
+        ),
+        ("targets = 3\n" + TOML, "targets = 3: expected a list"),
         (TOML + "[objects.ghost]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n", "no shape has the id"),
         (
             TOML + '[[targets]]\nname = "t"\nposition_m = [1.0, 0.0, 0.0]\nrcs_m2 = 1.0',
@@ -392,6 +409,11 @@ def test_unsupported_shapes_and_double_names(tmp_path: Path) -> None:
 
 
 # Faults that were found by trying.
+
+
+def test_a_pose_is_a_pose() -> None:
+    with pytest.raises(InputError, match=r"pose = \(1, 0, 2\): expected a Pose, as twin.Pose"):
+        load_scene("yard", (1, 0, 2))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
