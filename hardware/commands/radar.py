@@ -170,8 +170,11 @@ def image(
     from hardware.radar.output import write_image, write_png
     from hardware.records import read_radar_record
 
-    if cells < 1 or not near < far or not width > 0:
-        raise InputError(f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide")
+    if cells < 1 or not 0 <= near < far or not width > 0:
+        raise InputError(
+            f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide: expected at least "
+            "one cell, 0 m <= near < far, and a width above 0 m"
+        )
     loaded = read_radar_record(record)
     say.step(f"read {record}")
     focused = focus(

@@ -35,11 +35,13 @@ class Wall:
     permittivity: float
 
     def __post_init__(self) -> None:
-        if not (self.thickness_m >= 0 and self.permittivity >= 1):
+        if not (0 <= self.thickness_m < np.inf and 1 <= self.permittivity < np.inf):
             raise InputError(
                 f"wall: thickness {self.thickness_m} m and permittivity {self.permittivity}, "
-                "expected at least 0 and 1"
+                "expected finite numbers of at least 0 and 1"
             )
+        if not np.isfinite(self.distance_m):
+            raise InputError(f"wall: distance {self.distance_m} m, expected a finite number")
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from hardware.files import (
     naming,
     one_line,
     partial_path,
+    read_array,
     read_regular,
     read_toml,
     whole_file,
@@ -235,6 +236,16 @@ def written(
         return path, read_record
     write_radar_record(cube(STEP, [Echo((5.0, 0, 0))]), path)
     return path, read_radar_record
+
+
+@pytest.mark.parametrize("content", [b"", b"hello world\n", b"\x80\x04N.", b"PK\x03\x04"])
+def test_what_is_no_array_is_not_said_to_be_a_pickle_to_trust(
+    content: bytes, tmp_path: Path
+) -> None:
+    """NumPy takes any text for a pickled object, and says how to load it unsafely."""
+    (path := tmp_path / "light.npy").write_bytes(content)
+    with refused(path, r"is no NumPy array \(.npy\)"):
+        read_array(path)
 
 
 def test_a_compressed_record_is_read(record: SpiRecord, tmp_path: Path) -> None:

@@ -133,9 +133,11 @@ def test_focus_through_a_wall() -> None:
     assert np.abs(ignored.value).max() < 0.95 * np.abs(focused.value).max()
 
 
-@pytest.mark.parametrize("values", [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5)])
+@pytest.mark.parametrize(
+    "values", [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5), (1.0, np.inf, 4.0), (np.nan, 0.1, 4.0)]
+)
 def test_impossible_walls(values) -> None:
-    with pytest.raises(ValueError, match="wall: thickness"):
+    with pytest.raises(ValueError, match=r"wall: (thickness|distance)"):
         Wall(*values)
 
 
@@ -220,6 +222,11 @@ def test_ugv_image_of_one_burst_tells_a_range_and_no_direction(tmp_path) -> None
     [
         (["detect", "missing.h5"], "missing.h5: no such record"),
         (["image", "missing.h5", "--near", "3", "--far", "1"], "from 3 to 1 m"),
+        (["image", "missing.h5", "--near", "-3", "--far", "-1"], "expected at least one cell, 0 m"),
+        (
+            ["calibrate", "radar", "x", "-o", "c.h5", "--distance", "2", "--cross-section", "0"],
+            "--cross-section: 0, expected a number above 0",
+        ),
         (["detect", "missing.h5", "--cfar", "so"], "none of ca, go, os"),
     ],
 )

@@ -67,7 +67,8 @@ def _fault(
     if (length := _length_of(fault, model)) is not None:
         of = place[:-1] if kind == "missing" else place
         given = list(fault["input"]) if isinstance(fault["input"], tuple) else fault["input"]
-        return f"{'.'.join(map(str, of))} = {given!r:.60}: expected {_NUMBERS.get(length, length)} numbers"
+        numbers = f"{_NUMBERS.get(length, length)} numbers"
+        return f"{'.'.join(map(str, of))} = {given!r:.60}: expected {numbers}"
     if kind == "missing":
         return f"{field}: missing"
     if kind == "extra_forbidden":
