@@ -23,7 +23,7 @@ from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.radar import radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.intervals import body_level
-from twin.radar.propagation.facets import body_scattering
+from twin.radar.propagation.facets import body_scattering, echo_search
 from twin.radar.propagation.facets.adaptive_subdivision import Budget
 from twin.radar.propagation.facets.convergence import band_of, summed_by
 from twin.radar.propagation.physical_optics import (
@@ -245,7 +245,7 @@ def test_deep_tubes_without_room_are_told(monkeypatch) -> None:
     finely = BY_BOUNDS.with_(radar_tolerance=0.03)
     whole = trace(scene, RADAR, fidelity=finely)
     assert not any(d.effect.startswith(effect) for d in whole.decisions)
-    monkeypatch.setattr(body_scattering, "MOST_DEEP_ROOTS", 4)
+    monkeypatch.setattr(echo_search, "MOST_DEEP_ROOTS", 4)
     taken = radar_capture(scene, RADAR, fidelity=finely)
     rows = [d for d in taken.propagation.decisions if d.effect.startswith(effect)]
     assert rows
