@@ -31,7 +31,7 @@ def figures() -> Iterator[Figure]:
         yield from _camera(f"moving rig, {name}", lambda moved=moved: reconstruct(next(moved)))
     for name, world, reuse in (
         ("all at rest", _at_rest(scene), 1),
-        ("car and person move", scene, 1),
+        ("car moves", scene, 1),
         ("the same, 100 bursts traced together", scene, 100),
     ):
         radar, number = RadarSweeps(world, load_radar("hybrid-79"), 0, reuse=reuse), count()

@@ -11,9 +11,12 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from hardware.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 #: Of a dotted key of TOML.
 _MOST_KEY_PARTS = 64
@@ -71,6 +74,24 @@ def read_regular(path: str | Path) -> bytes:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise InputError(f"{path}: expected a regular file")
         return file.read()
+
+
+def read_array(path: str | Path) -> "NDArray[Any]":
+    """The array of a NumPy file (.npy), memory-mapped: a file that promises too much takes no
+    memory.
+
+    Raises OSError; InputError for another file, a damaged one, or one of Python objects.
+    """
+    import numpy as np
+
+    with Path(path).open("rb") as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise InputError(f"{path}: is no NumPy array (.npy)")
+    try:
+        array: NDArray[Any] = np.load(path, mmap_mode="r")
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: can't be read as a NumPy array ({error})") from error
+    return array
 
 
 def one_line(message: str) -> str:

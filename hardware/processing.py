@@ -104,7 +104,7 @@ def _supported(
     except InputError as error:
         if motion is None:
             raise
-        return reconstruct(record, method), (f"motion not taken out: {error}",)
+        return reconstruct(record, method), (f"motion not compensated: {error}",)
 
 
 def _images(

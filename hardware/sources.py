@@ -60,8 +60,9 @@ def open_source(
     ending
         Filled in with what is wrong with a log; without it a warning is logged.
 
-    Raises SourceError for a URL of no known kind, a camera without settings, a radio without a
-    setup, a package that is not installed; what a driver or an installed package raises.
+    Raises SourceError for a URL of no known kind, a file that is no log, a camera without settings,
+    a radio without a setup, a package that is not installed; what a driver or an installed package
+    raises.
     """
     scheme, colon, rest = url.partition(":")
     if scheme == "replay":
@@ -78,6 +79,11 @@ def open_source(
         return installed(url, settings, over=over)
     if colon and not scheme.startswith("/") and not rest.startswith("//"):
         raise SourceError(f"{url}: no installed package offers {scheme}:")
+    if Path(url).is_file():
+        raise SourceError(
+            f"{url}: is a file, expected the URL of a sensor, or a log (NAME.mcap); `ugv "
+            "reconstruct` and `ugv detect` read the records (HDF5) of a camera and a radar"
+        )
     if settings is None:
         raise SourceError(f"{url}: a camera needs settings (a TOML file of patterns and times)")
     return _camera(url, settings, over)

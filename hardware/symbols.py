@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hardware.errors import InputError
+from hardware.files import read_array
 
 #: By which a modulus may differ from 1: that of single precision.
 _MODULUS = 1e-6
@@ -78,7 +79,8 @@ def own_symbols(given: "str | Path | ArrayLike | OwnSymbols") -> OwnSymbols:
         return OwnSymbols(np.asarray(given))
     if not Path(given).is_file():
         raise FileNotFoundError(f"{given}: no such file of symbols")
+    array = read_array(given)
     try:
-        return OwnSymbols(np.load(given, mmap_mode="r"))
-    except (ValueError, OSError, EOFError) as error:
+        return OwnSymbols(array)
+    except ValueError as error:
         raise InputError(f"{given}: {error}") from error

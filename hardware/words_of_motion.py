@@ -1,4 +1,4 @@
-"""What was taken out of a camera's frame, and what was proposed and was not, in one line."""
+"""Which motion a camera's frame was compensated for, or why for none, in one line."""
 
 from dataclasses import dataclass
 
@@ -30,16 +30,16 @@ def told(found: SupportedMotion, proposal: Proposal, camera_m_per_s: Array) -> s
     """The line of a frame; ``camera_m_per_s`` (3,) is the camera's velocity in its own frame."""
     but = f"; {proposal.untold}" if proposal.untold else ""
     if found.warnings:
-        return "motion: none looked for: this record hardly tells any"
+        return "motion: not compensated: this record can hardly show any"
     if not found.tried:
-        return f"motion: none proposed: {proposal.untold or _resting(proposal)}"
+        return f"motion: not compensated: {proposal.untold or _resting(proposal)}"
     if found.motion is None:
-        return f"motion: none taken out: {_proposed(proposal)}: {_gain(found)}{but}"
-    return f"motion: taken out: {_taken(found, proposal, camera_m_per_s)}: {_gain(found)}{but}"
+        return f"motion: not compensated: {_proposed(proposal)}, tried: {_gain(found)}{but}"
+    return f"motion: compensated: {_taken(found, proposal, camera_m_per_s)}: {_gain(found)}{but}"
 
 
 def _gain(found: SupportedMotion) -> str:
-    return f"log-likelihood {found.evidence:+.0f} ({found.asked:+.0f} asked)"
+    return f"log-likelihood {found.evidence:+.0f} over rest ({found.asked:+.0f} needed)"
 
 
 def _resting(proposal: Proposal) -> str:

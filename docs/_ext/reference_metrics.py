@@ -60,7 +60,7 @@ def knobs_page() -> str:
 
 def assumptions_page() -> str:
     """What the models say of themselves, whatever the scene and the design."""
-    from twin.camera.acquisition import (
+    from twin.camera.assumptions import (
         MODEL_ASSUMPTIONS,
         MOVING_ASSUMPTION,
         STILL_ASSUMPTION,

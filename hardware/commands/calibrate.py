@@ -41,6 +41,7 @@ def calibrate_camera(
     from hardware.calibration import CalibrationTarget, CameraCalibration, write_calibration
     from hardware.records import SpiRecord
 
+    _check_positive(distance=distance, reflectance=reflectance)
     target = CalibrationTarget(distance, reflectance)
     pair = [_first(records_of(source, settings), source, SpiRecord) for source in (dark, flat)]
     write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
@@ -62,6 +63,7 @@ def calibrate_radar(
     from hardware.radar.process import process as processed
     from hardware.records import RadarRecord
 
+    _check_positive(distance=distance, cross_section=cross_section)
     target = CalibrationTarget(distance, cross_section)
     record = _first(records_of(source, None, radar_setup), source, RadarRecord)
     frame = processed(record)
@@ -72,6 +74,13 @@ def calibrate_radar(
     say.verdict(f"range offset {si(result.range_offset_m, 'm')}")
     say.add(range_offset_m=result.range_offset_m)
     say.written(out)
+
+
+def _check_positive(**options: float) -> None:
+    """Raise InputError naming the first option that is not above 0."""
+    for name, value in options.items():
+        if not value > 0:
+            raise InputError(f"--{name.replace('_', '-')}: {value:g}, expected a number above 0")
 
 
 def _first(incoming: "Iterator[Received]", source: str, kind: type[_Record]) -> _Record:

@@ -202,14 +202,13 @@ def _distances(record: "SpiRecord", ranges: "RangeImage") -> str:
 def _mixing(path: Path) -> "Mixing":
     import numpy as np
 
+    from hardware.files import read_array
     from hardware.reconstruction import Mixing
 
-    try:
-        # Memory-mapped: a truncated file is refused before memory is allocated.
-        matrix = np.load(path, mmap_mode="r")
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{path}: {error}") from error
-    if not isinstance(matrix, np.ndarray) or matrix.ndim != 3 or matrix.dtype.kind not in "fiu":
-        shape = getattr(matrix, "shape", "of an archive")
-        raise InputError(f"{path}: shape {shape}, expected numbers of (n_emitters, rows, columns)")
+    matrix = read_array(path)
+    if matrix.ndim != 3 or matrix.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: {matrix.dtype} of shape {matrix.shape}, expected numbers of (n_emitters, "
+            "rows, columns)"
+        )
     return Mixing(matrix.reshape(len(matrix), -1).astype(np.float64), *matrix.shape[1:])

@@ -153,15 +153,13 @@ def _numbers(path: Path, where: str, table: dict[str, Any], key: str, n: int) ->
 def _field(path: Path) -> "Motion":
     import numpy as np
 
+    from hardware.files import read_array
     from hardware.reconstruction.motion import CellMotion, Homography
 
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of displacements")
-    try:
-        array = np.load(path, mmap_mode="r")
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: {error}") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+    array = read_array(path)
+    if array.dtype.kind not in "fiu":
         raise InputError(f"{path}: {_EXPECTED}")
     values = np.asarray(array, np.float64)
     try:

@@ -9,7 +9,7 @@ import typer
 from hardware.commands.output import Output, with_output
 from hardware.commands.quantities import quantity_of
 from hardware.errors import InputError
-from hardware.formatting import si
+from hardware.formatting import counted, si
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -170,8 +170,11 @@ def image(
     from hardware.radar.output import write_image, write_png
     from hardware.records import read_radar_record
 
-    if cells < 1 or not near < far or not width > 0:
-        raise InputError(f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide")
+    if cells < 1 or not 0 <= near < far or not width > 0:
+        raise InputError(
+            f"image: {cells} cells from {near:g} to {far:g} m, {width:g} m wide: expected at least "
+            "one cell, 0 m <= near < far, and a width above 0 m"
+        )
     loaded = read_radar_record(record)
     say.step(f"read {record}")
     focused = focus(
@@ -184,19 +187,25 @@ def image(
     _warn(say, record, focused.warnings)
     power = np.abs(focused.value) ** 2
     down, cross = np.unravel_index(np.argmax(power), power.shape)
+    across_m = focused.cross_resolution_m
+    across = f"{si(across_m, 'm')} cross-range (Eq. 6)" if np.isfinite(across_m) else "none across"
     say.line(
-        f"{record}: {focused.n_bursts} bursts; resolution {si(focused.down_resolution_m, 'm')} "
-        f"down-range (Eq. 7), {si(focused.cross_resolution_m, 'm')} cross-range (Eq. 6)"
+        f"{record}: {counted(focused.n_bursts, 'burst')}; resolution "
+        f"{si(focused.down_resolution_m, 'm')} down-range (Eq. 7), {across}"
     )
     peak_dbm = 10 * np.log10(1e3 * power.max()) if power.any() else -np.inf
     down_m, cross_m = focused.down_range_m[down], focused.cross_range_m[cross]
-    say.verdict(f"peak {peak_dbm:.1f} dBm at {down_m:.3f} m, {cross_m:+.3f} m to the left")
+    place = f"at {down_m:.3f} m, {cross_m:+.3f} m to the left"
+    if not focused.shows_directions:
+        place = f"at a range of {np.hypot(down_m, cross_m):.3f} m, in an unknown direction"
+        down_m = cross_m = np.nan
+    say.verdict(f"peak {peak_dbm:.1f} dBm {place}")
     say.add(
         record=record,
         bursts=focused.n_bursts,
         figures=[
             {"name": "resolution, down-range", "unit": "m", "value": focused.down_resolution_m},
-            {"name": "resolution, cross-range", "unit": "m", "value": focused.cross_resolution_m},
+            {"name": "resolution, cross-range", "unit": "m", "value": across_m},
             {"name": "peak", "unit": "dBm", "value": peak_dbm},
             {"name": "down-range of the peak", "unit": "m", "value": down_m},
             {"name": "cross-range of the peak", "unit": "m", "value": cross_m},

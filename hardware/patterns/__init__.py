@@ -101,8 +101,10 @@ class PatternSet(Patterns):
             raise InputError(f"order: {self.order!r} is none of {', '.join(get_args(Order))}")
         if self.mode not in get_args(Mode):
             raise InputError(f"mode: {self.mode!r} is none of {', '.join(get_args(Mode))}")
-        if (self.order == "custom") != (self.subset is not None):
-            raise InputError("subset: belongs to order 'custom', and to no other")
+        if self.order == "custom" and self.subset is None:
+            raise InputError("subset: missing, order 'custom' needs the rows that are shown")
+        if self.order != "custom" and self.subset is not None:
+            raise InputError(f"subset: belongs to order 'custom', but the order is {self.order!r}")
         if self.subset is not None:
             self._check_subset(self.subset)
         if self.mode == "s-matrix" and 0 not in self.indices:

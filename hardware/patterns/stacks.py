@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.files import read_array
 
 #: Of one stack: 2 GiB as float64.
 MOST_VALUES = 2**28
@@ -31,8 +32,8 @@ def read_stack(path: Path) -> Stack:
 
 def _numpy(path: Path) -> Stack:
     try:
-        if path.suffix == ".npy":  # mapped: a file that promises too much takes no memory
-            return _checked(path, np.load(path, mmap_mode="r"))
+        if path.suffix == ".npy":
+            return _checked(path, read_array(path))
         with zipfile.ZipFile(path) as archive:
             if sum(item.file_size for item in archive.infolist()) > 8 * MOST_VALUES:
                 raise InputError(f"{path}: more than {MOST_VALUES} values")

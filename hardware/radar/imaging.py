@@ -35,11 +35,13 @@ class Wall:
     permittivity: float
 
     def __post_init__(self) -> None:
-        if not (self.thickness_m >= 0 and self.permittivity >= 1):
+        if not (0 <= self.thickness_m < np.inf and 1 <= self.permittivity < np.inf):
             raise InputError(
                 f"wall: thickness {self.thickness_m} m and permittivity {self.permittivity}, "
-                "expected at least 0 and 1"
+                "expected finite numbers of at least 0 and 1"
             )
+        if not np.isfinite(self.distance_m):
+            raise InputError(f"wall: distance {self.distance_m} m, expected a finite number")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,8 @@ class RadarImage:
 
     ``value`` (n_down, n_cross) at ``down_range_m`` ahead of and ``cross_range_m`` left of the
     antenna's pose in the middle of the track, level with it. Resolution by Eq. 6 and 7 of the
-    paper, at the image's middle.
+    paper, at the image's middle; across it is infinite where the antenna stands still or moves
+    only ahead, as in a single burst.
     """
 
     value: Complex
@@ -57,7 +60,13 @@ class RadarImage:
     down_resolution_m: float
     cross_resolution_m: float
     n_bursts: int
+    n_pairs: int
     warnings: tuple[str, ...]
+
+    @property
+    def shows_directions(self) -> bool:
+        """Whether cells of one range differ: by a track across the view, or by several antennas."""
+        return self.n_pairs > 1 or bool(np.isfinite(self.cross_resolution_m))
 
 
 def image(
@@ -106,13 +115,17 @@ def image(
             value += _looked_up(channel.mean(axis=-1), burst, delay, tolerance)
     wave = bursts[0].waveform
     distance = float(np.hypot(np.mean(down_range_m), np.mean(cross_range_m)))
+    across_m = cross_resolution_m(distance, wave.wavelength_m, places)
+    if across_m > np.ptp(cross_range_m) > 0:
+        warnings += (_short_track(len(bursts), len(bursts[0].channel), across_m),)
     return RadarImage(
         value=value / sum(len(burst.channel) for burst in bursts),
         down_range_m=np.asarray(down_range_m, dtype=np.float64),
         cross_range_m=np.asarray(cross_range_m, dtype=np.float64),
         down_resolution_m=wave.range_cell_m,
-        cross_resolution_m=cross_resolution_m(distance, wave.wavelength_m, places),
+        cross_resolution_m=across_m,
         n_bursts=len(bursts),
+        n_pairs=len(bursts[0].channel),
         warnings=warnings,
     )
 
@@ -121,6 +134,19 @@ def cross_resolution_m(distance_m: float, wavelength_m: float, places_m: Array) 
     """Eq. 6 of the paper: d lambda / (2 L); infinite for a single place."""
     length = float(np.ptp(places_m[:, 1]))
     return distance_m * wavelength_m / (2 * length) if length else float("inf")
+
+
+def _short_track(n_bursts: int, n_pairs: int, across_m: float) -> str:
+    """What an image shows whose track resolves less than its width."""
+    if np.isfinite(across_m):
+        return f"the track resolves {across_m:.3g} m across, more than the image's width"
+    bursts = "one burst" if n_bursts == 1 else f"{n_bursts} bursts whose antenna does not move"
+    shown = (
+        f"directions come from the {n_pairs} pairs of antennas alone"
+        if n_pairs > 1
+        else "the image shows ranges, and the same in every direction"
+    )
+    return f"{bursts}: {shown}; expected bursts along a track across the view"
 
 
 def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:

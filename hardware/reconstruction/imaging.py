@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.blas import one_blas_thread
 from hardware.errors import InputError, check_kind
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
@@ -84,6 +85,7 @@ class Reconstruction:
         return np.hstack(list(self.image))
 
 
+@one_blas_thread()
 def reconstruct(
     record: SpiRecord,
     method: str | Method | Solve = "lmmse",
@@ -93,7 +95,8 @@ def reconstruct(
     compensation: Compensation = STANDARD,
     reference_ns: int | None = None,
 ) -> Reconstruction:
-    """Reconstruct an image from a record.
+    """Reconstruct an image from a record, in one thread unless ``OPENBLAS_NUM_THREADS`` says
+    otherwise: those of BLAS wait for each other on a machine with other work.
 
     Parameters
     ----------

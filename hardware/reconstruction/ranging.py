@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.blas import one_blas_thread
 from hardware.errors import InputError
 from hardware.patterns import RasterScan
 from hardware.reconstruction.depth import C_M_PER_S, depth
@@ -65,6 +66,7 @@ class RangeImage:
     warnings: tuple[str, ...] = ()
 
 
+@one_blas_thread()
 def range_image(
     record: SpiRecord, method: str | Method | Solve = "lmmse", *, mixing: Mixing | None = None
 ) -> RangeImage:

@@ -1,5 +1,6 @@
 """The file behind every record: HDF5 with a format name and a schema version."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import IntFlag
@@ -122,15 +123,19 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
 def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Settings with arrays, and the group's parameters, of a file in this layout.
 
-    Raises FileNotFoundError, or InputError for another format, another version, or a broken file.
+    Raises FileNotFoundError; another OSError where the file cannot be read; InputError for another
+    format, another version, a file that is cut short or damaged.
     """
     import h5py
 
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such record")
+    with path.open("rb") as unread:  # HDF5 tells nothing apart here
+        if not unread.read(1):
+            raise InputError(f"{path}: is empty, expected a {layout.format} (HDF5)")
     if not h5py.is_hdf5(path):
-        raise InputError(f"{path}: is no HDF5 file, expected a record")
+        raise InputError(f"{path}: is no HDF5 file, expected a {layout.format}")
     try:
         with h5py.File(path, "r") as file:
             version = _check(layout, file)
@@ -151,9 +156,21 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
                 if name in group:
                     parameters[name] = _array(group, name, np.dtype(dtype))
             return values, parameters
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except (KeyError, OSError, RuntimeError, TypeError, ValueError) as error:  # HDF5 has them all
-        text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
-        raise InputError(f"{path}: {text}") from error
+        raise InputError(f"{path}: {_damage(error)}") from error
+
+
+def _damage(error: Exception) -> str:
+    """What is wrong with a file that HDF5 cannot read, by what it raised."""
+    said = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+    if cut := re.search(r"truncated file: eof = (\d+),.* stored_eof = (\d+)", said):
+        held, whole = cut.groups()
+        return f"is cut short: expected {whole} bytes, the file holds {held}"
+    if missing := re.search(r"object '(.+)' doesn't exist|locate attribute: '(.+)'", said):
+        return f"{missing[1] or missing[2]}: missing from the file"
+    return f"is damaged, HDF5 cannot read it: {said}"
 
 
 def check_shapes(record: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:

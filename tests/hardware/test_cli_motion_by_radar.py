@@ -63,7 +63,7 @@ def test_a_log_of_two_sources_takes_the_file_of_the_docs(tmp_path: Path) -> None
     arguments = ["--motion", "radar", "--rig", tmp_path / "rig.toml", "-o", tmp_path / "out.mcap"]
     done = ugv("process", tmp_path / "run.mcap", *arguments)
     assert done.returncode == 0, done.stderr
-    assert "motion: none" in done.stdout
+    assert "motion: not compensated" in done.stdout
 
 
 def test_a_sensor_that_damage_hides_is_not_said_to_be_missing(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import zstandard
+from radar_cubes import STEP, Echo, cube
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.radio.setup import read_setup
@@ -22,12 +23,20 @@ from hardware.files import (
     naming,
     one_line,
     partial_path,
+    read_array,
     read_regular,
     read_toml,
     whole_file,
 )
 from hardware.recording import read_messages, recover
-from hardware.records import QuaternionPose, read_record, write_record
+from hardware.records import (
+    QuaternionPose,
+    RadarRecord,
+    read_radar_record,
+    read_record,
+    write_radar_record,
+    write_record,
+)
 
 #: None of the files below is larger; what they promise is 256 MiB and more.
 _FILE_BYTES, _MEMORY_BYTES = 1 << 18, 1 << 24
@@ -171,6 +180,72 @@ def test_a_record_holds_what_it_says_and_nothing_of_other_files(
         spoil(file)
     with refused(path, because):
         read_record(path)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+@pytest.mark.parametrize("kind", ["spi", "radar"])
+def test_a_record_that_was_cut_short_says_by_how_much(
+    kind: str, share: float, record: SpiRecord, tmp_path: Path
+) -> None:
+    """As a full disk or a broken transfer leaves it: in our words, with both sizes."""
+    path, read = written(kind, record, tmp_path)
+    whole = path.read_bytes()
+    held = int(share * len(whole))
+    path.write_bytes(whole[:held])
+    with refused(path, f"is cut short: expected {len(whole)} bytes, the file holds {held}"):
+        read(path)
+
+
+@pytest.mark.parametrize("kind", ["spi", "radar"])
+@pytest.mark.parametrize(
+    ("content", "because"),
+    [
+        (b"", "is empty, expected a ugv-{kind}-record"),
+        (b"hello world\n", "is no HDF5 file, expected a ugv-{kind}-record"),
+        (b"\x89HDF\r\n\x1a\n", "is damaged, HDF5 cannot read it: "),
+    ],
+)
+def test_what_is_no_record_says_what_was_expected(
+    kind: str, content: bytes, because: str, record: SpiRecord, tmp_path: Path
+) -> None:
+    path, read = written(kind, record, tmp_path)
+    path.write_bytes(content)
+    with refused(path, because.format(kind=kind)):
+        read(path)
+
+
+@pytest.mark.parametrize("name", ["counts", "device", "patterns"])
+def test_what_a_record_lacks_is_named(name: str, record: SpiRecord, tmp_path: Path) -> None:
+    write_record(record, path := tmp_path / "record.h5")
+    with h5py.File(path, "r+") as file:
+        if name in file:
+            del file[name]
+        else:
+            del file.attrs[name]
+    with refused(path, f"{name}: missing from the file"):
+        read_record(path)
+
+
+def written(
+    kind: str, record: SpiRecord, folder: Path
+) -> tuple[Path, Callable[[Path], SpiRecord | RadarRecord]]:
+    """A record's file, and what reads it."""
+    path = folder / f"{kind}.h5"
+    if kind == "spi":
+        write_record(record, path)
+        return path, read_record
+    write_radar_record(cube(STEP, [Echo((5.0, 0, 0))]), path)
+    return path, read_radar_record
+
+
+@pytest.mark.parametrize("content", [b"", b"hello world\n", b"\x80\x04N.", b"PK\x03\x04"])
+def test_what_is_no_array_is_not_said_to_be_a_pickle_to_trust(
+    content: bytes, tmp_path: Path
+) -> None:
+    """NumPy takes any text for a pickled object, and says how to load it unsafely."""
+    (path := tmp_path / "light.npy").write_bytes(content)
+    with refused(path, r"is no NumPy array \(.npy\)"):
+        read_array(path)
 
 
 def test_a_compressed_record_is_read(record: SpiRecord, tmp_path: Path) -> None:

@@ -244,7 +244,7 @@ def test_what_rests_stays_as_it_is(name: str) -> None:
     """Whatever the radar says."""
     found, told = followed(World(), frame(World()), FALSE[name])
     assert found.motion is None, told
-    assert told.startswith("motion: none ")
+    assert told.startswith("motion: not compensated: ")
 
 
 def test_sensors_that_know_no_pose_are_at_rest() -> None:
@@ -264,7 +264,7 @@ def test_patterns_from_coarse_to_fine_tell_nothing() -> None:
     world = World(board_m_per_s=1.5)
     found, told = followed(world, frame(world, order="sequency"))
     assert found.motion is None
-    assert told == "motion: none looked for: this record hardly tells any"
+    assert told == "motion: not compensated: this record can hardly show any"
     assert "from coarse to fine" in found.warnings[0]
 
 

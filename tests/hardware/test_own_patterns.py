@@ -103,7 +103,7 @@ def test_files_hold_the_same(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name, told in (
         ("two.npz", "arrays a, b, expected one"),
-        ("text.npy", "can't be read as an array"),
+        ("text.npy", "is no NumPy array"),
         ("empty", "no images"),
     ):
         with pytest.raises(InputError, match=f"{name}: {told}"):

@@ -1,10 +1,11 @@
 """Images of direct sums: places, levels, resolution, walls, broken bursts; the commands."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cubes import BAND, C, Echo, cube, peaks, track, two_cylinders
+from radar_cubes import BAND, MIMO, C, Echo, cube, peaks, track, two_cylinders
 from ugv_command import ugv
 
 from hardware.radar import OfdmWaveform
@@ -77,6 +78,24 @@ def test_resolution_is_equations_6_and_7() -> None:
     assert cross_resolution_m(0.9, 0.1, np.zeros((1, 3))) == np.inf
 
 
+@pytest.mark.parametrize(
+    ("pose", "antennas", "told"),
+    [
+        (track(1, 0.0), {}, "one burst: the image shows ranges, and the same in every direction"),
+        (track(3, 0.0), {}, "3 bursts whose antenna does not move: the image shows ranges"),
+        (track(1, 0.0), MIMO, "one burst: directions come from the 8 pairs of antennas alone"),
+        (track(3, 1e-3), {}, "the track resolves 60 m across, more than the image's width"),
+    ],
+)
+def test_what_an_image_without_a_track_shows_is_told(pose, antennas, told: str) -> None:
+    record = cube(replace(BAND, n_slots=2), [Echo((0.9, 0.2, 0))], pose=pose, **antennas)
+    found = image(record, DOWN, CROSS)
+    assert told in found.warnings[-1]
+    alike = np.ptp(np.abs(found.value[[0, 0], [0, 100]])) < 1e-3 * np.abs(found.value).max()
+    assert alike or found.shows_directions
+    assert not image(cube(BAND, [Echo((0.9, 0.2, 0))], pose=track(5, 0.96)), DOWN, CROSS).warnings
+
+
 def test_the_wall_bends_rays_by_the_shortest_optical_way() -> None:
     """Fermat by brute force over where the ray enters and leaves the slab."""
     from scipy.optimize import minimize
@@ -114,9 +133,11 @@ def test_focus_through_a_wall() -> None:
     assert np.abs(ignored.value).max() < 0.95 * np.abs(focused.value).max()
 
 
-@pytest.mark.parametrize("values", [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5)])
+@pytest.mark.parametrize(
+    "values", [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5), (1.0, np.inf, 4.0), (np.nan, 0.1, 4.0)]
+)
 def test_impossible_walls(values) -> None:
-    with pytest.raises(ValueError, match="wall: thickness"):
+    with pytest.raises(ValueError, match=r"wall: (thickness|distance)"):
         Wall(*values)
 
 
@@ -184,11 +205,28 @@ def test_ugv_image_writes_csv_and_png(tmp_path) -> None:
     assert np.unravel_index(grey.argmax(), grey.shape) == (30, 15)  # far on top, left on the left
 
 
+def test_ugv_image_of_one_burst_tells_a_range_and_no_direction(tmp_path) -> None:
+    """Of one burst and one antenna every cell of a range is alike, so its peak has no place."""
+    write_radar_record(cube(BAND, [Echo((0.9, 0.2, 0))]), tmp_path / "r.h5")
+    done = ugv("image", str(tmp_path / "r.h5"))
+    assert done.returncode == 0, done.stderr
+    assert "1 burst; resolution 300 mm down-range (Eq. 7), none across" in done.stdout
+    assert "inf" not in done.stdout
+    (at,) = re.findall(r"at a range of ([\d.]+) m, in an unknown direction", done.stdout)
+    assert float(at) == pytest.approx(np.hypot(0.9, 0.2), abs=0.02)
+    assert "one burst: the image shows ranges, and the same in every direction" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (["detect", "missing.h5"], "missing.h5: no such record"),
         (["image", "missing.h5", "--near", "3", "--far", "1"], "from 3 to 1 m"),
+        (["image", "missing.h5", "--near", "-3", "--far", "-1"], "expected at least one cell, 0 m"),
+        (
+            ["calibrate", "radar", "x", "-o", "c.h5", "--distance", "2", "--cross-section", "0"],
+            "--cross-section: 0, expected a number above 0",
+        ),
         (["detect", "missing.h5", "--cfar", "so"], "none of ca, go, os"),
     ],
 )

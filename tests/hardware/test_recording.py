@@ -15,7 +15,7 @@ from hardware import PatternSet
 from hardware.drivers.clock import ClockModel
 from hardware.recording import Log, read_messages, read_records
 from hardware.recording.kinds import KINDS
-from hardware.sources import open_source, replay
+from hardware.sources import SourceError, open_source, replay
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=["camera", "custom order", "one cell", "radar"])
@@ -188,3 +188,9 @@ def test_replay_keeps_the_pace_and_the_records(tmp_path: Path) -> None:
 def test_sources_that_are_none(url: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         open_source(url)
+
+
+def test_a_file_of_one_record_is_no_source(tmp_path) -> None:
+    (path := tmp_path / "radar.h5").write_bytes(b"")
+    with pytest.raises(SourceError, match=r"radar.h5: is a file, expected the URL of a sensor"):
+        open_source(str(path))

@@ -156,5 +156,5 @@ def test_a_subset_of_patterns_is_kept(tmp_path: Path) -> None:
     assert read_record(tmp_path / "r.h5").patterns == record.patterns
     with h5py.File(tmp_path / "r.h5", "a") as file:
         del file["patterns/subset"]
-    with pytest.raises(ValueError, match=r"r\.h5: subset: belongs to order 'custom'"):
+    with pytest.raises(ValueError, match=r"r\.h5: subset: missing, order 'custom' needs"):
         read_record(tmp_path / "r.h5")

@@ -24,11 +24,11 @@ def line(found: SupportedMotion, proposal: Proposal) -> str:
     return words.removeprefix("motion: ")
 
 
-def test_what_is_taken_out_is_told_with_speeds_and_distances() -> None:
+def test_what_is_compensated_is_told_with_speeds_and_distances() -> None:
     found = SupportedMotion(Layers(WALL, (BOARD,)), 92.7, 1, asked=35.0)
     assert line(found, Proposal(DRIVES, 4, 2)) == (
-        "taken out: the rig's 5 m/s and 3 deg/s before a plane 14 m away and 1 of 2 objects of 4 "
-        "tracks (1.2 m/s at 7 m): log-likelihood +93 (+35 asked)"
+        "compensated: the rig's 5 m/s and 3 deg/s before a plane 14 m away and 1 of 2 objects of 4 "
+        "tracks (1.2 m/s at 7 m): log-likelihood +93 over rest (+35 needed)"
     )
 
 
@@ -42,7 +42,7 @@ def test_a_rig_at_rest_is_not_said_to_move() -> None:
 def test_a_rig_that_turns_on_the_spot_is_said_to_turn_alone() -> None:
     turns = RigState(QuaternionPose(), np.zeros(3), np.array([0, 0, np.radians(3.0)]))
     words = line(SupportedMotion(WALL, 50.0, 0), Proposal(turns, 0, 0))
-    assert words.startswith("taken out: the rig's 3 deg/s before a plane 14 m away: log")
+    assert words.startswith("compensated: the rig's 3 deg/s before a plane 14 m away: log")
 
 
 @pytest.mark.parametrize(
@@ -51,23 +51,24 @@ def test_a_rig_that_turns_on_the_spot_is_said_to_turn_alone() -> None:
         (
             SupportedMotion(None, 29.0, 0, asked=35.0),
             Proposal(AT_REST, 2, 1),
-            "none taken out: 1 object of 2 tracks: log-likelihood +29 (+35 asked)",
+            "not compensated: 1 object of 2 tracks, tried: log-likelihood +29 over rest (+35 "
+            "needed)",
         ),
         (
             SupportedMotion(None, -3.0, 0),
             Proposal(DRIVES, 0, 0, "no tracks in the frame's time"),
-            "none taken out: the rig's 5 m/s and 3 deg/s: log-likelihood -3 (+30 asked); no tracks "
-            "in the frame's time",
+            "not compensated: the rig's 5 m/s and 3 deg/s, tried: log-likelihood -3 over rest (+30 "
+            "needed); no tracks in the frame's time",
         ),
         (
             SupportedMotion(None, 0.0, 0, tried=False),
             Proposal(AT_REST, 4, 0),
-            "none proposed: the rig is at rest, and of 4 tracks none moves in the image",
+            "not compensated: the rig is at rest, and of 4 tracks none moves in the image",
         ),
         (
             SupportedMotion(None, 0.0, 0, ("from coarse to fine",), tried=False),
             Proposal(DRIVES, 4, 2),
-            "none looked for: this record hardly tells any",
+            "not compensated: this record can hardly show any",
         ),
     ],
 )

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tests.designs import changed
 from tests.physics.radar_worlds import ball
 from twin.camera import capture
-from twin.camera.acquisition import MOVING_ASSUMPTION, STILL_ASSUMPTION
+from twin.camera.assumptions import MOVING_ASSUMPTION, STILL_ASSUMPTION
 from twin.camera.chain import Chain
 from twin.camera.exposure_noise import exposure_noise_w
 from twin.camera.exposures import Exposures
@@ -467,17 +467,17 @@ def test_cells_away_from_what_moves_keep_their_light(system: System) -> None:
 def test_light_that_does_not_change_is_not_rendered_again(
     system: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from twin.camera import moving_frame
+    from twin.camera import light_by_cell
 
     drawn: list[int] = []
-    follow = moving_frame.light_over_time
+    follow = light_by_cell.light_over_time
 
     def spied(*args: object) -> object:
         found = follow(*args)  # type: ignore[arg-type]
         drawn.append(found.looks)
         return found
 
-    monkeypatch.setattr(moving_frame, "light_over_time", spied)
+    monkeypatch.setattr(light_by_cell, "light_over_time", spied)
     moving = going(ball("ball", (3.0, 0.4, 0.1), 0.1, level=1), 0.0, -20.0, 0.0)
     wall = plate("wall", (-9, 9), (-9, 9), 6.0)
     fidelity = Fidelity(16, 1, motion_tolerance=0.1)
@@ -492,17 +492,17 @@ def test_the_suns_light_has_no_more_paths_than_it_needs(
     system: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A weak sun: its first paths, 8 of a part, are far more than its shot noise asks for."""
-    from twin.camera import moving_frame
+    from twin.camera import light_by_cell
 
     drawn: list[float] = []
-    follow = moving_frame.light_over_time
+    follow = light_by_cell.light_over_time
 
     def spied(*args: object) -> object:
         found = follow(*args)  # type: ignore[arg-type]
         drawn.append(found.paths / found.looks)
         return found
 
-    monkeypatch.setattr(moving_frame, "light_over_time", spied)
+    monkeypatch.setattr(light_by_cell, "light_over_time", spied)
     shade = going(plate("shade", (-3.0, 0.0), (-3, 3), 4.0), 0.0, 40.0, 0.0)
     scene = replace(world(plate("wall", (-9, 9), (-9, 9), 6.0), shade), sun=Sun(180.0, 20.0, 1e5))
     exposed(scene, system, DEFAULT)

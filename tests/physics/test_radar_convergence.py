@@ -85,8 +85,8 @@ def test_what_is_divided_no_further_is_named(scene: Scene, monkeypatch: pytest.M
     assert screen.objects == ("screen",)
     assert screen.estimated_error > errors(found, at(0.01, scene))["screen"] > 0.1
     (text,) = unconverged(found.bodies)
-    assert text.startswith("echo of screen converged to ")
-    assert text.endswith("% only (in 95 of 100 cases), asked for 10 % (fidelity.radar_tolerance)")
+    assert text.startswith("numerical error of the echo of screen: ")
+    assert text.endswith(" % with 95 % confidence; fidelity.radar_tolerance asks for 10 %")
     assert text in found.assumptions
     assert text in taken.assumptions
     assert [w.kind for w in taken.warnings if w == text] == ["rendering"]
@@ -220,12 +220,12 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
 
     assert _unconverged([burst(0.05, 0.2)]) == []
     assert _unconverged([burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
-        "echoes of b, a converged to 123, 70 % only (in 95 of 100 cases), asked for 10 % "
-        "(fidelity.radar_tolerance)"
+        "numerical error of the echoes of b, a: 123, 70 % with 95 % confidence; "
+        "fidelity.radar_tolerance asks for 10 %"
     ]
     (text,) = _unconverged([burst(*np.linspace(1.8, 0.7, 8))])
-    assert "echoes of a, b, c, d, e, f converged" in text
-    assert "(in 95 of 100 cases) (and 2 more, by less)" in text
+    assert "echoes of a, b, c, d, e, f: " in text
+    assert "with 95 % confidence; 2 more bodies are off by less; " in text
 
 
 @pytest.mark.thorough

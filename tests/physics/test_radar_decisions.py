@@ -23,7 +23,7 @@ from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.radar import radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.intervals import body_level
-from twin.radar.propagation.facets import body_scattering
+from twin.radar.propagation.facets import body_scattering, echo_search
 from twin.radar.propagation.facets.convergence import band_of, summed_by
 from twin.radar.propagation.facets.error_budget import Budget
 from twin.radar.propagation.physical_optics import (
@@ -246,7 +246,7 @@ def test_deep_tubes_without_room_are_told(monkeypatch) -> None:
     finely = BY_BOUNDS.with_(radar_tolerance=0.03)
     whole = trace(scene, RADAR, fidelity=finely)
     assert not any(d.effect.startswith(effect) for d in whole.decisions)
-    monkeypatch.setattr(body_scattering, "MOST_DEEP_ROOTS", 4)
+    monkeypatch.setattr(echo_search, "MOST_DEEP_ROOTS", 4)
     taken = radar_capture(scene, RADAR, fidelity=finely)
     rows = [d for d in taken.propagation.decisions if d.effect.startswith(effect)]
     assert rows
@@ -416,11 +416,11 @@ def test_assumptions_count_what_decisions_left_out() -> None:
     (said,) = (text for text in found.assumptions if text.startswith("left out of meshes"))
     told = dict(re.findall(r"(edges|waves)[a-z ]* (\d) of 5 bodies", said))
     edges = {d.effect: d.taken for d in found.decisions if d.effect.startswith("edges of")}
-    waves = {d.effect: d for d in found.decisions if "waves round obstacles" in d.effect}
+    waves = {d.effect: d for d in found.decisions if "waves diffracted round obstacles" in d.effect}
     without = [
         effect
         for effect, decision in waves.items()
-        if not decision.taken and effect.removeprefix("further ") not in waves
+        if not (decision.taken or effect.startswith("the weaker "))
     ]
     assert int(told["edges"]) == sum(not taken for taken in edges.values()) == 1
     assert int(told["waves"]) == len(without) == 1

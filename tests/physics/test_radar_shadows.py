@@ -416,7 +416,8 @@ def test_what_comes_round_an_obstacle_is_decided_by_a_bound(height: float) -> No
     got = wave(found.surfaces) / wave(free.surfaces)
     assert abs(got - due) < body.estimated_error * level
     assert body.estimated_error < 0.6
-    (taken,) = (d for d in found.decisions if d.effect.startswith("waves round obstacles"))
+    effect = "waves diffracted round obstacles"
+    (taken,) = (d for d in found.decisions if d.effect.startswith(effect))
     assert taken.taken
     assert taken.bound * level > abs(due - hard)
     assert not any("is left out, and in no stated error" in text for text in found.assumptions)

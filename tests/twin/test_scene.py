@@ -1,5 +1,6 @@
 """Scenes: what loads, what is defaulted, and what never reaches the renderer."""
 
+import re
 import shutil
 import struct
 from pathlib import Path
@@ -12,6 +13,7 @@ from twin.engine import mitsuba
 from twin.files import InputError, scenes_folder
 from twin.scene import Pose, load_scene, parse_pose
 from twin.scene.materials import load_materials
+from twin.scene.meshes import read_mesh
 from twin.scene.mitsuba import mitsuba_scene
 
 XML = """<scene version="3.0.0">
@@ -258,6 +260,40 @@ def test_missing_truncated_and_foreign_mesh_files(tmp_path: Path) -> None:
     assert_refused(folder, "thing.ply", "no such mesh file")
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("a.stl", b"hello world, this is no mesh", "no STL file: 28 bytes that do not begin with"),
+        ("a.stl", bytes(80) + b"\x07\0\0\0" + bytes(90), "174 bytes, expected 434 for the 7 tri"),
+        ("a.stl", b"solid a\n facet normal 0 0 1\n", "STL text without `endsolid`: cut short"),
+        ("a.obj", b"hello world, this is no mesh\n", "no OBJ file: no line begins with v, f or"),
+        ("a.ply", b"hello world, this is no mesh", "Not a ply file"),
+        *((f"a.{kind}", b"", "the file is empty") for kind in ("stl", "obj", "ply", "glb")),
+    ],
+)
+def test_garbage_is_told_apart_from_a_mesh_without_faces(
+    tmp_path: Path, name: str, content: bytes, told: str
+) -> None:
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(f"{path}: can't be read as a mesh (")) as caught:
+        read_mesh(path)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.stl", b"solid a\nendsolid a\n"),
+        ("b.stl", bytes(84)),
+        ("a.obj", b"# a cloud of points\nv 0 0 0\nv 1 0 0\n"),
+    ],
+)
+def test_a_mesh_that_truly_has_no_faces_says_so(tmp_path: Path, name: str, content: bytes) -> None:
+    (path := tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match="has no faces"):
+        read_mesh(path)
+
+
 @pytest.mark.parametrize("value", ["-0.5", "1.5", "nan"])
 def test_impossible_reflectances(tmp_path: Path, value: str) -> None:
     assert_refused(scene(tmp_path, reflectance=value), "'thing'", "expected 0 to 1")
@@ -332,6 +368,23 @@ def test_a_wrong_table_beside_the_scene_is_refused(tmp_path: Path) -> None:
         (TOML.replace("30.0", "nan"), "sun.elevation_deg"),
         (TOML.replace("1e5", "-1.0"), "sun.illuminance_lx = -1.0"),
         (TOML.replace("[0.0, 0.0, 0.0]", "[0.0, 0.0]"), "rig.position_m"),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = [1, 0]\n",
+            "objects.thing.velocity_m_per_s = [1, 0]: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = [1, 0, 0, 0]\n",
+            "objects.thing.velocity_m_per_s = [1, 0, 0, 0]: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing]\nvelocity_m_per_s = 3\n",
+            "objects.thing.velocity_m_per_s = 3: expected three numbers",
+        ),
+        (
+            TOML + "[objects.thing.motion.turning]\ncentre_m = []\n",
+            "objects.thing.motion.turning.centre_m = []: expected three numbers",
+        ),
+        ("targets = 3\n" + TOML, "targets = 3: expected a list"),
         (TOML + "[objects.ghost]\nvelocity_m_per_s = [1.0, 0.0, 0.0]\n", "no shape has the id"),
         (
             TOML + '[[targets]]\nname = "t"\nposition_m = [1.0, 0.0, 0.0]\nrcs_m2 = 1.0',
@@ -356,6 +409,11 @@ def test_unsupported_shapes_and_double_names(tmp_path: Path) -> None:
 
 
 # Faults that were found by trying.
+
+
+def test_a_pose_is_a_pose() -> None:
+    with pytest.raises(InputError, match=r"pose = \(1, 0, 2\): expected a Pose, as twin.Pose"):
+        load_scene("yard", (1, 0, 2))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

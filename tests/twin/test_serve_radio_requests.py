@@ -120,8 +120,11 @@ def test_longer_than_a_burst_is_not_received(scene) -> None:
     "text", ["", "tcp", "tcp:", "tcp:0", "tcp:70000", "udp:1.2.3.4:5", "tcp:host:1", "tcp:1.2:x"]
 )
 def test_addresses_that_are_none(text: str) -> None:
-    with pytest.raises(InputError, match="expected tcp:HOST:PORT"):
+    """What is taken is named whole: the pseudo-terminal of a camera, both forms of TCP."""
+    with pytest.raises(InputError, match=r"expected tcp:PORT \(.*\) or tcp:HOST:PORT, HOST an IP"):
         parse_address(text)
+    with pytest.raises(InputError, match=f"--spi-at: '{text}', expected pty, tcp:PORT "):
+        parse_address(text, "--spi-at", "pty")
 
 
 def test_addresses() -> None:

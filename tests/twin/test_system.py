@@ -99,6 +99,7 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
         ),
         ("[acquisition]\nn_patterns = 0", r"acquisition\.n_patterns\.value = 0"),
         ("[acquisition]\norder = 'random'", r"acquisition\.order.*'random'"),
+        ("[acquisition]\norder = 'custom'", r"acquisition\.order: 'custom' needs the rows .*masks"),
         ("[acquisition]\nintegration_time_s = 1.0", "longer than pattern_period_s"),
         ("[detector]\nwidth_m = 'wide'", r"detector\.width_m = 'wide'"),
         ("[detector]\nwidth_m = { value = 1e-3 }", "needs either `source` or `assumed`"),

@@ -427,3 +427,24 @@ def test_fog_before_nothing_is_no_picture(tmp_path: Path, place: str, text: str)
     assert found.verdict.void
     assert str(found.verdict) == f"void: no light of the emitter comes back: {text}"
     assert not evaluate(system, found).best.startswith("lmmse")
+
+
+def test_the_verdict_scores_the_method_that_was_asked_for(tmp_path: Path) -> None:
+    """And names the best one, where that is another: `--method zero-fill` was told of lmmse only.
+
+    The adjoint without its factor 1 / n is thousands of times too bright, and never the best.
+    """
+    wall = FACING + '<scale value="2"/><translate x="10"/>'
+    scene, system = foggy_patch(tmp_path, wall, 0.0)
+    found = capture(scene, system, seed=1)
+
+    def too_bright(values, noise_variance, sensing):
+        return sensing.adjoint(values)
+
+    for method in ("zero-fill", too_bright):
+        scored = evaluate(system, found, method=method)
+        place = [image.method for image in scored.reconstructions].index(str(scored.asked))
+        assert f"{scored.asked}: {scored.score_intervals[place]}" in str(scored)
+        assert scored.best in str(scored)
+    assert str(scored.asked) in scored.images.split("; best of 3 methods, ")[0]
+    assert evaluate(system, found).images == evaluate(system, found).best

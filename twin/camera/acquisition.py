@@ -9,35 +9,32 @@ from numpy.typing import NDArray
 from hardware.records import SpiRecord
 from twin.accuracy import Decision
 from twin.camera import light
+from twin.camera.assumptions import assumptions
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
 from twin.camera.cell_noise import cells_noise_e as noise_of_cells
 from twin.camera.chain import Chain
+from twin.camera.design_warnings import design_warnings, lag_shares
 from twin.camera.distortion import distortions
 from twin.camera.frozen import frozen_warnings
-from twin.camera.illumination import amplifier_residue, dark_share, residual_share
+from twin.camera.illumination import dark_share
 from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
 from twin.camera.moving_frame import FrameLight
 from twin.camera.noise_draws import NoiseDraws
 from twin.camera.rendered import RenderedLight
-from twin.camera.shutters import farthest_gate_m
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
     ImageVerdict,
     combined_warnings,
     judge,
     lag_warnings,
-    quantisation_warnings,
     saturated_detectors,
     warnings_of_record,
 )
 from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.errors import check_kind, check_seed
 from twin.fidelity import Accuracy, Noise, knobs_of
-from twin.optics.emission import emission_matrix, independent_patterns
 from twin.optics.radiometry import Collection
-from twin.optics.solar_irradiance import SUN_ASSUMPTION
-from twin.optics.weather import air_of_system
 from twin.progress import OpenStage, silently
 from twin.scene import Scene
 from twin.system import System
@@ -45,38 +42,8 @@ from twin.warned import CaptureWarning, is_void
 
 Array = NDArray[np.float64]
 
-#: One-way optical depth above which multiply scattered light of the air exceeds 1 % in fog.
-_THICK = 0.25
-
-#: Radius of the Airy disc over half the field above which a warning is given.
-_LARGE_AIRY_DISC = 0.05
-
 #: Rounding error of sums in float64, relative to a cell's light.
 _ROUNDING = 1e-13
-
-#: Holds for every capture through air.
-AIR_ASSUMPTION = (
-    "air: homogeneous, with a phase function of two Henyey-Greenstein lobes; all scatterings are "
-    "traced on the way to a surface and back, up to fidelity.air_orders; backscatter and airlight "
-    "are scattered once"
-)
-
-#: Holds for a detector whose field follows the lit cell.
-SCAN_ASSUMPTION = (
-    "scanning receiver: its field is centred on the lit spot at every distance, as behind a common "
-    "mirror; only light of the first bounce comes from there, all other is left out"
-)
-
-#: Holds for every capture; printed with it.
-MODEL_ASSUMPTIONS = (
-    "surfaces are Lambertian, two-sided and flat-shaded",
-    SUN_ASSUMPTION,
-    "amplifier: linear up to the rails",
-)
-
-#: Holds where light is rendered once for all exposures of a frame, and where it is not.
-STILL_ASSUMPTION = "nothing moves during a frame"
-MOVING_ASSUMPTION = "the truth of a frame in which things move is that of its middle"
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,13 +239,12 @@ def measure(
     budget = chain.noise(signal_w, sun_w)
     record_warnings = (
         *warnings_of_record(record, distortion.clipping, image_noise_e, own),
-        *lag_warnings(distortion.lag, image_noise_e, _lag_shares(system)),
+        *lag_warnings(distortion.lag, image_noise_e, lag_shares(system)),
     )
     warnings = (
         *record_warnings,
         *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
-        *_warnings(system, budget, float(sky.emitter.max()), scene_e, depth_m),
-        *_diffraction(system, chain.lens),
+        *design_warnings(system, chain.lens, budget, float(sky.emitter.max()), scene_e, depth_m),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
         *(frame.warnings if frame else frozen_warnings(scene, chain, rendered)),
@@ -297,7 +263,7 @@ def measure(
         sun_irradiance_w_per_m2=float(sky.sun_w_per_m2[0]),
         in_band_fraction=float(sky.emitter[0]),
         illuminance_lx=sky.illuminance_lx,
-        assumptions=(*_assumptions(scene, system, frame), *_own(own)),
+        assumptions=assumptions(scene, system, moves=frame is not None, detector=own),
         warnings=warnings,
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
         decisions=(*rendered.decisions, *((frame.decision,) if frame else ())),
@@ -310,155 +276,7 @@ def measure(
     )
 
 
-def _own(detector: str) -> tuple[str, ...]:
-    told = f"detector: {detector} in place of the system's detector and readout"
-    return (told,) if detector else ()
-
-
 def _without(cells_e: Array, backscatter_e: Array) -> Array:
     """Light of the scene; a difference within rounding counts as 0."""
     rest = cells_e - backscatter_e
     return np.where(rest > _ROUNDING * cells_e, rest, 0.0)
-
-
-def _assumptions(scene: Scene, system: System, frame: FrameLight | None) -> tuple[str, ...]:
-    air = (AIR_ASSUMPTION,) if system.weather else ()
-    scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
-    sampled = (system.sampling_note,) if system.sampling_note else ()
-    rest = (MOVING_ASSUMPTION if frame else STILL_ASSUMPTION,)
-    fixed = (*MODEL_ASSUMPTIONS, *rest, *air, *scan, *sampled)
-    return (*fixed, *_idealised(system), *scene.assumptions, *_assumed(system))
-
-
-def _idealised(system: System) -> tuple[str, ...]:
-    """Idealisations of whatever the system's file leaves out."""
-    emitter, optics = system.emitter, system.optics
-    left_out = {
-        "the emitter's field is flat": emitter.viewing_angle_deg,
-        "its cells have sharp edges": emitter.blur_rms_deg if emitter.has_lens else True,
-        "its cells are equal": emitter.intensity_spread,
-        "dark cells emit nothing": emitter.contrast_ratio,
-        "its power does not fluctuate": emitter.intensity_noise,
-        "it switches at once": emitter.switching_time_s,
-        "the filter does not shift with angle (a real one moves 6-11 nm at 10 deg)": (
-            system.filter.effective_index
-        ),
-        "lens: cos^4 is its only vignetting": optics.edge_illumination,
-        "it images sharply": optics.blur_rms_deg,
-        "its pupil is a point, in focus everywhere": optics.focus_m,
-        "amplifier: white noise": system.readout.flicker_corner_hz,
-        "it settles within each exposure": system.readout.bandwidth_hz,
-        "there is no air": system.weather,
-    }
-    ideal = [assumption for assumption, given in left_out.items() if given is None]
-    return ("not in the system's file: " + "; ".join(ideal),) if ideal else ()
-
-
-def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
-    """Warning of a pupil so small that its Airy disc blurs the edge of the field."""
-    airy = 1.22 * system.emitter.peak_wavelength_m.value / lens.pupil_diameter_m
-    share = airy / lens.tan_half_field
-    if share < _LARGE_AIRY_DISC:
-        return []
-    return [
-        CaptureWarning(
-            "model",
-            "the detector is too small for geometrical optics: diffraction at its pupil of "
-            f"{lens.pupil_diameter_m:.2g} m blurs the field's edge by {100 * share:.2g} % of its "
-            "half width, which is left out: optics.f_number, detector.width_m",
-        )
-    ]
-
-
-def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
-    air, seen = air_of_system(system), depth_m[np.isfinite(depth_m)]
-    if air is None or not seen.size:
-        return []
-    depth = air.extinction_per_m * float(np.median(seen))
-    if depth < _THICK:
-        return []
-    return [
-        CaptureWarning(
-            "model",
-            f"half of the surfaces are behind an optical depth of {depth:.2g} or more: light that "
-            "hits no surface and is scattered by the air more than once is left out; it is spread "
-            "evenly over the image, in fog about 3 % of all light at 0.5, 6 % at 1 and 10 % at 2; "
-            "the real image has less contrast",
-        )
-    ]
-
-
-def _assumed(system: System) -> tuple[str, ...]:
-    return tuple(said for _, said in system.assumed())
-
-
-def _warnings(
-    system: System,
-    noise: NoiseBudget,
-    in_band: float,
-    scene_e: Array,
-    depth_m: Array,
-) -> tuple[CaptureWarning, ...]:
-    return (
-        *quantisation_warnings(noise),
-        *_no_light(system, in_band, scene_e, depth_m),
-        *_narrow_filter(system, in_band),
-        *_thick_air(system, depth_m),
-        *_crosstalk(system, float(depth_m.min())),
-    )
-
-
-def _lag_shares(system: System) -> dict[str, float]:
-    """Share of the preceding exposure in each exposure, by the field that causes it."""
-    shares = {
-        "emitter.switching_time_s": residual_share(system),
-        "readout.bandwidth_hz": amplifier_residue(system),
-    }
-    return {field: share for field, share in shares.items() if share}
-
-
-def _no_light(
-    system: System, in_band: float, scene_e: Array, depth_m: Array
-) -> list[CaptureWarning]:
-    if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
-        text = "no light of the emitter passes the filter, or it emits none"
-    elif not scene_e.any() and farthest_gate_m(system) < depth_m.min() < np.inf:
-        text = (
-            "no light of the emitter comes back: what is in the field of view lies beyond the last "
-            f"gate, at {depth_m.min():.3g} m or more (time_of_flight.gate_delays_s)"
-        )
-    elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
-        text = "no light of the emitter comes back: the air transmits none"
-    elif not scene_e.any():
-        text = "no light of the emitter comes back: nothing in the field of view"
-    else:
-        return []
-    return [CaptureWarning("no-light", text, void=True)]
-
-
-def _narrow_filter(system: System, in_band: float) -> list[CaptureWarning]:
-    line, width = system.emitter.line_fwhm_m.value, system.filter.width_m.value
-    curves = system.emitter.spectrum_csv or system.filter.transmission_csv
-    if curves is not None or width >= line or in_band == 0:
-        return []
-    return [
-        CaptureWarning(
-            "design",
-            f"the filter, {width * 1e9:g} nm, is narrower than the emitter's line, "
-            f"{line * 1e9:g} nm: {in_band:.1%} of its light passes",
-        )
-    ]
-
-
-def _crosstalk(system: System, distance_m: float) -> list[CaptureWarning]:
-    """Warning of bare LEDs, each of which lights the whole field."""
-    if system.emitter.has_lens or not np.isfinite(distance_m):
-        return []
-    n_images = independent_patterns(emission_matrix(system.emitter, distance_m))
-    return [
-        CaptureWarning(
-            "design",
-            f"bare LEDs: at {distance_m:.3g} m only {n_images} of {system.patterns.n_cells} images "
-            "differ by more than 1 % of the signal; with a projection lens all would",
-        )
-    ]

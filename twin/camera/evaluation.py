@@ -39,12 +39,15 @@ SHOWN_OF_OWN = ("least-squares", "lmmse")
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One system's capture with its reconstructions, best first, and their scores."""
+    """One system's capture with its reconstructions, best first, and their scores; ``asked``: the
+    method that was asked for by its name.
+    """
 
     system: System
     capture: Capture
     reconstructions: tuple[Reconstruction, ...]
     scores: tuple[Score, ...]
+    asked: str | None = None
 
     @cached_property
     def intervals(self) -> CaptureIntervals:
@@ -70,14 +73,26 @@ class Evaluation:
     @property
     def best(self) -> str:
         """The best reconstruction with its score, in words; of a void record there is none."""
-        if self.capture.void:
-            return "no image"
-        return f"{self.reconstructions[0].method}: {self.score_intervals[0]}"
+        return "no image" if self.capture.void else self._scored(0)
+
+    @property
+    def images(self) -> str:
+        """The image by the method that was asked for with its score, in words, and the best one
+        where that is another; without one the best alone.
+        """
+        methods = [image.method for image in self.reconstructions]
+        asked = methods.index(self.asked) if self.asked in methods else 0
+        if asked == 0 or self.capture.void:
+            return self.best
+        return f"{self._scored(asked)}; best of {len(methods)} methods, {self.best}"
+
+    def _scored(self, place: int) -> str:
+        return f"{self.reconstructions[place].method}: {self.score_intervals[place]}"
 
     def __str__(self) -> str:
         """The result in one line, as the command prints it."""
         ranges = f"; distances off by {self.ranges}" if self.ranges else ""
-        return f"{self.system.name}: {self.verdict}; {self.best}{ranges}"
+        return f"{self.system.name}: {self.verdict}; {self.images}{ranges}"
 
 
 def evaluate(
@@ -110,9 +125,11 @@ def evaluate(
     record = capture.record
     bundled = SHOWN_OF_OWN if isinstance(record.patterns, OwnPatterns) else SHOWN
     shown = [METHODS[name] for name in bundled if fits_in_memory(name, record.patterns)]
-    if method is not None and (own := method_of(method)) not in shown:
+    own = None if method is None else method_of(method)
+    if own is not None and own not in shown:
         shown.append(own)
     images = reconstructions or [reconstruct(record, solve) for solve in shown]
     scored = [(image, score_of(capture, image.picture)) for image in images]
     scored.sort(key=lambda pair: -pair[1].psnr_db)
-    return Evaluation(system, capture, tuple(i for i, _ in scored), tuple(s for _, s in scored))
+    ordered = tuple(image for image, _ in scored), tuple(score for _, score in scored)
+    return Evaluation(system, capture, *ordered, asked=own.name if own else None)

@@ -25,7 +25,7 @@ def serve(
     system: Annotated[str, typer.Option(help="The camera: bundled system or TOML.")] = "workable",
     radar: Annotated[str, typer.Option(help="The radar: bundled design or TOML.")] = "prototype",
     spi_at: Annotated[
-        str | None, typer.Option(help="Where the camera listens: pty, or tcp:HOST:PORT.")
+        str | None, typer.Option(help="Where the camera listens: pty, tcp:PORT, or tcp:HOST:PORT.")
     ] = None,
     radar_at: Annotated[
         str | None,
@@ -89,8 +89,11 @@ def serve(
         if file is not None and place is None:
             raise InputError(f"{option}: expected {where} too, that device is not served")
     how: Pace = "real" if pace == "real" else "fast"
-    camera_address = parse_address(spi_at) if spi_at not in (None, "pty") else None
-    radio_address = parse_address(radar_at) if radar_at is not None else None
+    camera_address = radio_address = None
+    if spi_at is not None and spi_at != "pty":
+        camera_address = parse_address(spi_at, "--spi-at", "pty")
+    if radar_at is not None:
+        radio_address = parse_address(radar_at, "--radar-at")
     if camera_address is not None and radio_address is not None:
         check_ports(camera_address, radio_address)
     for address in (camera_address, radio_address):

@@ -65,7 +65,7 @@ def camera_finding(evaluation: Evaluation) -> Finding:
         "good" if verdict.snr_median >= 1 and not verdict.not_within else "limited",
         verdict.short,
         (
-            ("What is seen", f"{verdict}; {evaluation.best}"),
+            ("What is seen", f"{verdict}; {evaluation.images}"),
             ("To what distance", _how_far(evaluation, seen_m, reach_m, far_m)),
             ("What limits it", _camera_limit(evaluation)),
             ("What would help most", _help(levers)),

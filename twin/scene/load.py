@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from twin.errors import check_kind
 from twin.files import InputError, scenes_folder
 from twin.geometry import Geometry
 from twin.scene import xml
@@ -50,6 +51,8 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     >>> scene.name, scene.objects[0].name, scene.at_rest
     ('yard', 'ground', False)
     """
+    if pose is not None:
+        check_kind("pose", pose, Pose, "twin.Pose")
     if isinstance(scene, Scene):
         return scene if pose is None else scene.at(pose)
     path = _find(scene)

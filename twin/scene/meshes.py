@@ -1,7 +1,6 @@
 """Meshes from files, and tessellated from primitives."""
 
 import logging
-import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ from twin.files import InputError
 from twin.geometry import Geometry
 from twin.scene.beside import ModelFiles, model_file
 from twin.scene.gltf_validation import check_gltf
+from twin.scene.mesh_validation import check_not_empty, check_obj, check_stl
 
 Array = NDArray[np.float64]
 
@@ -54,6 +54,7 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
     """
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise InputError(f"{path}: {path.suffix!r} is none of {', '.join(FORMATS)}")
+    check_not_empty(path)
     if check := _CHECKS.get(path.suffix.lower()):
         check(path)
     logger = logging.getLogger("trimesh")
@@ -72,26 +73,7 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
         raise InputError(f"{path}: can't be read as a mesh ({reason:.200})") from error
 
 
-def _check_obj(path: Path) -> None:
-    """What readers bend into shape: too few numbers in a line, which they take from the next one;
-    vertex 0, for which they take the last (OBJ counts from 1, or from the end, negative).
-    """
-    zero = re.compile(rb"^f\s+(?:\S+\s+)*0(?:[/\s]|$)")
-    before = b""
-    with path.open("rb") as file:
-        for number, line in enumerate(file, 1):
-            line = before + line.rstrip()
-            before = b""
-            if line.endswith(b"\\"):  # goes on in the next one
-                before = line[:-1] + b" "
-                continue
-            if line[:2] in (b"v ", b"v\t", b"f ", b"f\t") and len(line.split(None, 3)) < 4:
-                raise InputError(f"{path}: line {number}: {line[:40]!r}, expected three or more")
-            if zero.match(line):
-                raise InputError(f"{path}: line {number}: vertex 0, but OBJ counts from 1")
-
-
-_CHECKS = {".obj": _check_obj, ".gltf": check_gltf, ".glb": check_gltf}
+_CHECKS = {".obj": check_obj, ".stl": check_stl, ".gltf": check_gltf, ".glb": check_gltf}
 
 
 def primitive(kind: str, properties: dict[str, Any]) -> Geometry | None:

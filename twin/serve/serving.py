@@ -43,8 +43,10 @@ class Address:
         return ipaddress.ip_address(self.host).is_loopback
 
 
-def parse_address(text: str) -> Address:
-    """``tcp:HOST:PORT``, or ``tcp:PORT`` on loopback. Raises InputError for anything else."""
+def parse_address(text: str, option: str = "address", *forms: str) -> Address:
+    """``tcp:HOST:PORT``, or ``tcp:PORT`` on loopback. Raises InputError for anything else, with the
+    option and all that it takes: ``forms`` beside these.
+    """
     kind, _, rest = text.partition(":")
     host, _, port = rest.rpartition(":")
     host = host.strip("[]") or "127.0.0.1"
@@ -54,7 +56,11 @@ def parse_address(text: str) -> Address:
         address = Address(host, int(port))
         _ = address.loopback
     except ValueError:
-        raise InputError(f"{text!r}: expected tcp:HOST:PORT, HOST an IP address") from None
+        expected = ", ".join((*forms, "tcp:PORT"))
+        raise InputError(
+            f"{option}: {text!r:.60}, expected {expected} (of this machine alone) or "
+            "tcp:HOST:PORT, HOST an IP address, PORT 1 to 65533"
+        ) from None
     return address
 
 

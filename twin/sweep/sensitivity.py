@@ -159,32 +159,36 @@ def _of_grid(
 def _anova(table: Array, grid: int) -> Array:
     """First and total order (grid, 2) of the first dimensions of a table; others are repetitions.
 
-    First: variance of a main effect over all variance, total: mean variance along lines over all
-    variance. Effects are fitted together, so that in a table with gaps, too, none takes another's
-    for its own.
+    First: variance of a main effect over all variance. Total: first, and the mean variance along
+    lines of what main effects leave, over all variance. Effects are fitted together, so that in a
+    table with gaps, too, none takes another's for its own. The variance along lines of the table
+    itself is the same sum where the table is whole; where it has gaps it weights the levels of an
+    effect otherwise than first order does, and may come out below it.
     """
     known = np.isfinite(table)
     places = np.nonzero(known)[:grid]
-    effects, rest = _main_effects(table[known], places, table.shape[:grid])
+    effects, left = _main_effects(table[known], places, table.shape[:grid])
     first = np.array([effect.var() for effect in effects])
-    total = np.empty(grid)
+    interactions = np.full(table.shape, np.nan)
+    interactions[known] = left
+    total = first.copy()
     for axis in range(grid):
-        lines = np.moveaxis(table, axis, 0)
+        lines = np.moveaxis(interactions, axis, 0)
         n = np.isfinite(lines).sum(axis=0)
         several = n > 1
         mean = np.nansum(lines, axis=0)[several] / n[several]
         square = np.nansum((lines[:, several] - mean) ** 2)
         # Of a line with gaps the variance is estimated; of a whole one it is that of its points.
         free = float((n[several] - 1).sum())
-        total[axis] = square / free * (1 - 1 / len(lines)) if free else 0.0
-    return np.stack([first, total], axis=1) / (first.sum() + rest)
+        total[axis] += square / free * (1 - 1 / len(lines)) if free else 0.0
+    return np.stack([first, total], axis=1) / (first.sum() + np.mean(left**2))
 
 
 def _main_effects(
     y: Array, places: Sequence[NDArray[np.intp]], shape: Sequence[int]
-) -> tuple[list[Array], float]:
-    """Effect of each level of each parameter that has points, by least squares, and the variance
-    that they leave.
+) -> tuple[list[Array], Array]:
+    """Effect of each level of each parameter that has points, by least squares, and what they leave
+    of each point.
     """
     from scipy.sparse import csr_array, hstack
 
@@ -197,11 +201,10 @@ def _main_effects(
     centred = y - y.mean()
     normal = (indicator.T @ indicator).toarray()
     fitted = np.linalg.lstsq(normal, indicator.T @ centred, rcond=1e-10)[0]
-    rest = float(np.mean((centred - indicator @ fitted) ** 2))
     seen = normal.diagonal() > 0
     ends = np.cumsum(shape)[:-1]
     levels = zip(np.split(fitted, ends), np.split(seen, ends), strict=True)
-    return [effect[some] for effect, some in levels], rest
+    return [effect[some] for effect, some in levels], centred - indicator @ fitted
 
 
 def _of_sample(table: Array, design: _Design, variance: float, seed: int) -> dict[str, Share]:

@@ -60,7 +60,7 @@ class System(Entry):
             if self.acquisition.patterns is not None:
                 raise InputError(f"acquisition.patterns: {error}") from None
             field, rest = str(error).split(":", 1)
-            places = {"count": "n_patterns", "subset": "order", "mode": "mode"}
+            places = {"count": "n_patterns", "order": "order", "mode": "mode"}
             place = f"acquisition.{places[field]}" if field in places else f"emitter.{field}"
             raise InputError(f"{place}:{rest}") from None
         return self
@@ -119,6 +119,11 @@ class System(Entry):
         if self.is_raster:
             return RasterScan(
                 self.emitter.rows.value, self.emitter.columns.value, self.acquisition.mode.value
+            )
+        if self.acquisition.order.value == "custom":
+            raise InputError(
+                "order: 'custom' needs the rows that are shown, for which a system has no field: "
+                "expected another order, or a file of masks in acquisition.patterns"
             )
         return PatternSet(
             rows=self.emitter.rows.value,

@@ -2,8 +2,8 @@
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, get_args
+from types import MappingProxyType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, RootModel, ValidationError
 
@@ -20,7 +20,11 @@ _EXPECTED = {
     "bool_type": "true or false",
     "string_type": "text",
     "too_short": "at least {min_length} of them",
+    "too_long": "at most {max_length} of them",
+    "tuple_type": "a list",
 }
+
+_NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 _NONE: Mapping[str, Sequence[str]] = MappingProxyType({})
 
@@ -43,8 +47,13 @@ def describe(
     ``file_keys``: by the name of a section, "" for none, keys that a file may have there beside the
     model's fields.
     """
-    faults = sorted(error.errors(), key=lambda fault: fault["type"] == "missing")
-    return "; ".join(_fault(fault, model, content, file_keys) for fault in faults)
+    every = error.errors()
+    within = {fault["loc"][:n] for fault in every for n in range(1, len(fault["loc"]))}
+    # Of a list, entries that are wrong count as none for pydantic: their own faults say it all.
+    told = [f for f in every if f["type"] != "too_short" or f["loc"] not in within]
+    faults = sorted(told, key=lambda fault: fault["type"] == "missing")
+    # Of one list that is too short every number that is missing is a fault of its own.
+    return "; ".join(dict.fromkeys(_fault(fault, model, content, file_keys) for fault in faults))
 
 
 def _fault(
@@ -55,6 +64,11 @@ def _fault(
     field = ".".join(str(part) for part in place)
     if not field:
         return message
+    if (length := _length_of(fault, model)) is not None:
+        of = place[:-1] if kind == "missing" else place
+        given = list(fault["input"]) if isinstance(fault["input"], tuple) else fault["input"]
+        numbers = f"{_NUMBERS.get(length, length)} numbers"
+        return f"{'.'.join(map(str, of))} = {given!r:.60}: expected {numbers}"
     if kind == "missing":
         return f"{field}: missing"
     if kind == "extra_forbidden":
@@ -71,6 +85,42 @@ def _fault(
         value = value["value"]  # of a value with its source
     shown = "" if isinstance(value, dict | BaseModel) else f" = {value!r:.60}"
     return f"{field}{shown}: {message}"
+
+
+def _length_of(fault: Any, model: type[BaseModel]) -> int | None:
+    """How many numbers a list has to have, of which a fault says that they are too few, too many or
+    no list; None for another fault.
+    """
+    kind, place = fault["type"], fault["loc"]
+    if kind == "missing" and isinstance(place[-1], int):
+        place = place[:-1]
+    elif kind not in ("too_long", "tuple_type"):
+        return None
+    for hint in _hints_at(model, place):
+        if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
+            return len(get_args(hint))
+    return None
+
+
+def _hints_at(hint: Any, place: Sequence[str | int]) -> Iterator[Any]:
+    """Types that a value may have at a place within a type."""
+    inner, rest = get_args(hint), place[1:]
+    if isinstance(hint, type) and issubclass(hint, RootModel):
+        yield from _hints_at(hint.model_fields["root"].annotation, place)
+    elif isinstance(hint, type) and issubclass(hint, BaseModel):
+        if place and (field := hint.model_fields.get(str(place[0]))):
+            yield from _hints_at(field.annotation, rest)
+    elif get_origin(hint) is tuple and place:
+        variable = Ellipsis in inner
+        if isinstance(place[0], int) and (variable or place[0] < len(inner)):
+            yield from _hints_at(inner[0 if variable else place[0]], rest)
+    elif get_origin(hint) is dict and place:
+        yield from _hints_at(inner[1], rest)
+    elif get_origin(hint) in (Annotated, Union, UnionType):
+        for kind in inner:
+            yield from _hints_at(kind, place)
+    elif not place:
+        yield hint
 
 
 def _written(content: Any, place: Sequence[str | int], read: Any) -> Any:

@@ -147,15 +147,18 @@ def on_round_obstacles(
     for taken, values in ((True, bound), (False, left_out)):
         rows = np.argsort(-values, kind="stable")
         order = [k for k in rows if (is_taken[k] if taken else values[k] > 0)]
-        which = "waves round obstacles" if taken else "further waves round obstacles"
+        which = "waves diffracted round obstacles"
         for k in order[:_NAMED]:
-            effect = f"{which}, {label_of(objects[k])}"
+            # Of a body to which such waves were computed, what is left is of further paths.
+            rest = "" if taken or not is_taken[k] else "the weaker "
+            effect = f"{rest}{which} to {label_of(objects[k])}"
             cost = cost_of_each_s if taken else math.nan
             decisions.append(
                 Decision("radar", effect, float(values[k]), permitted, _UNIT, taken, cost)
             )
         if len(order) > _NAMED:
-            effect = f"{which}, {len(order) - _NAMED} further bodies"
+            rest = "" if taken else "the weaker "
+            effect = f"{rest}{which} to {len(order) - _NAMED} more bodies"
             at_most = float(values[order[_NAMED:]].max())
             cost = cost_of_each_s * (len(order) - _NAMED) if taken else math.nan
             decisions.append(Decision("radar", effect, at_most, permitted, _UNIT, taken, cost))

@@ -40,8 +40,8 @@ def on_meshes(
         "waves round obstacles": fidelity.radar_shadowed == 0 and several,
         f"waves round obstacles to {without_waves} of {n_bodies} bodies, within the stated "
         "errors": without_waves,
-        f"waves round obstacles to {too_large} of {n_bodies} bodies, too large among so many "
-        "edges, in no stated error": too_large,
+        f"waves round obstacles to {too_large} of {n_bodies} bodies, which are too large to "
+        "compute among so many edges; no stated error holds them": too_large,
         f"waves round obstacles to more than {fidelity.radar_shadowed} parts of bodies": (
             fidelity.radar_shadowed and several
         ),

@@ -87,11 +87,12 @@ def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
         return []
     named = ", ".join(body.name for body in worst[:_NAMED])
     errors = ", ".join(percent(body.estimated_error) for body in worst[:_NAMED])
-    others = f" (and {len(worst) - _NAMED} more, by less)" if len(worst) > _NAMED else ""
+    more = len(worst) - _NAMED
+    others = f"; {more} more {'body is' if more == 1 else 'bodies are'} off by less" * (more > 0)
     return [
-        f"{'echo' if len(worst) == 1 else 'echoes'} of {named} converged to {errors} % only "
-        f"(in 95 of 100 cases){others}, asked for {percent(worst[0].tolerance)} % "
-        "(fidelity.radar_tolerance)"
+        f"numerical error of the {'echo' if len(worst) == 1 else 'echoes'} of {named}: {errors} % "
+        f"with 95 % confidence{others}; fidelity.radar_tolerance asks for "
+        f"{percent(worst[0].tolerance)} %"
     ]
 
 

@@ -1,0 +1,67 @@
+"""What a capture takes for granted: of the model, of what its system leaves out, of its scene."""
+
+from twin.optics.solar_irradiance import SUN_ASSUMPTION
+from twin.scene import Scene
+from twin.system import System
+
+#: Holds for every capture through air.
+AIR_ASSUMPTION = (
+    "air: homogeneous, with a phase function of two Henyey-Greenstein lobes; all scatterings are "
+    "traced on the way to a surface and back, up to fidelity.air_orders; backscatter and airlight "
+    "are scattered once"
+)
+
+#: Holds for a detector whose field follows the lit cell.
+SCAN_ASSUMPTION = (
+    "scanning receiver: its field is centred on the lit spot at every distance, as behind a common "
+    "mirror; only light of the first bounce comes from there, all other is left out"
+)
+
+#: Holds for every capture; printed with it.
+MODEL_ASSUMPTIONS = (
+    "surfaces are Lambertian, two-sided and flat-shaded",
+    SUN_ASSUMPTION,
+    "amplifier: linear up to the rails",
+)
+
+#: Holds where light is rendered once for all exposures of a frame, and where it is not.
+STILL_ASSUMPTION = "nothing moves during a frame"
+MOVING_ASSUMPTION = "the truth of a frame in which things move is that of its middle"
+
+
+def assumptions(scene: Scene, system: System, *, moves: bool, detector: str) -> tuple[str, ...]:
+    """All that hold for a capture; ``moves``: whether something moves during its frame;
+    ``detector``: name of a user's own in place of the system's, empty for none.
+    """
+    air = (AIR_ASSUMPTION,) if system.weather else ()
+    scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
+    sampled = (system.sampling_note,) if system.sampling_note else ()
+    rest = (MOVING_ASSUMPTION if moves else STILL_ASSUMPTION,)
+    fixed = (*MODEL_ASSUMPTIONS, *rest, *air, *scan, *sampled)
+    own = f"detector: {detector} in place of the system's detector and readout"
+    given = (*_idealised(system), *scene.assumptions, *(said for _, said in system.assumed()))
+    return (*fixed, *given, *((own,) if detector else ()))
+
+
+def _idealised(system: System) -> tuple[str, ...]:
+    """Idealisations of whatever the system's file leaves out."""
+    emitter, optics = system.emitter, system.optics
+    left_out = {
+        "the emitter's field is flat": emitter.viewing_angle_deg,
+        "its cells have sharp edges": emitter.blur_rms_deg if emitter.has_lens else True,
+        "its cells are equal": emitter.intensity_spread,
+        "dark cells emit nothing": emitter.contrast_ratio,
+        "its power does not fluctuate": emitter.intensity_noise,
+        "it switches at once": emitter.switching_time_s,
+        "the filter does not shift with angle (a real one moves 6-11 nm at 10 deg)": (
+            system.filter.effective_index
+        ),
+        "lens: cos^4 is its only vignetting": optics.edge_illumination,
+        "it images sharply": optics.blur_rms_deg,
+        "its pupil is a point, in focus everywhere": optics.focus_m,
+        "amplifier: white noise": system.readout.flicker_corner_hz,
+        "it settles within each exposure": system.readout.bandwidth_hz,
+        "there is no air": system.weather,
+    }
+    ideal = [assumption for assumption, given in left_out.items() if given is None]
+    return ("not in the system's file: " + "; ".join(ideal),) if ideal else ()
