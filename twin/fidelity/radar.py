@@ -91,9 +91,10 @@ class RadarFidelity(Knobs):
         and balls), and delays have higher orders. Up to there the scene is traced once, in the
         interval's middle; beyond, at up to 132 instants, each as dear as the first, and the echo
         between two of them is compared with one traced half way, in up to 5 places. Where one
-        instant is taken, direct echoes traced at its ends check it (`crossing` takes 1.8 times as
-        long as at rest): what shadows that pass change is warned of, and traced where a number is
-        asked for. None: as `radar_tolerance`, and never traced for shadows alone.
+        instant is taken, echoes traced at its ends check it, direct ones and coarsely those of up
+        to three reflections (`crossing` takes 1.5 times as long as at rest): what they change by
+        counts in stated errors and is warned of, and traced where a number is asked for. None: as
+        `radar_tolerance`, and never traced for what such a check finds alone.
     radar_bounces
         Between objects that scatter by physical optics: what is reflected more often is lost. A
         trihedral needs 3. None: of every body as many, up to 6, as may add more than a tenth of

@@ -103,9 +103,11 @@ class SceneObject:
         state = motion.at(0.0)
         middle = state.pose.apply(self.geometry.sphere[0])
         x, y, z = state.at_world(middle)[0].tolist()
-        return replace(
+        found = replace(
             self, pose=state.pose, motion=motion, parent=parent, velocity_m_per_s=(x, y, z)
         )
+        vars(found)["state"] = state  # of a limb's chain of motions it takes milliseconds
+        return found
 
     def after(self, seconds: float) -> "SceneObject":
         """The same object later; itself if it does not move."""

@@ -2,7 +2,7 @@
 those on whose way something moves.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,12 +42,22 @@ def affected_alone(
     """The scene in which all other objects only cast shadows; of a body all objects answer, or
     none does.
     """
+    return with_silent(scene, unaffected(scene, half_s, roles, bodies))
+
+
+def unaffected(
+    scene: Scene, half_s: float, roles: Sequence[Assignment], bodies: Sequence[BodyEcho]
+) -> set[str]:
+    """Names of all other objects that answer."""
     affected = _affected(scene, half_s)
     for body in bodies:
         if affected.intersection(body.objects):
             affected |= set(body.objects)
-    scatters = {one.name for one in roles if one.role is ScatteringModel.OPTICS}
-    silent = scatters - affected
+    return {one.name for one in roles if one.role is ScatteringModel.OPTICS} - affected
+
+
+def with_silent(scene: Scene, silent: Collection[str]) -> Scene:
+    """The scene in which some objects, by name, only cast shadows."""
     return replace(
         scene,
         objects=tuple(

@@ -9,8 +9,9 @@ H(t) = sum_k w_k(t) sum_i a_i,k exp(-j 2 pi f tau_i,k(t)), w_k falling linearly 
 before and after t_k. Amplitudes change to first order about each instant, so that half of the
 change from either side cancels: what is left is of second order.
 
-Where one instant is taken, direct echoes at others are a check of it: what they change by is warned
-of where it is more than is permitted.
+Where one instant is taken, echoes at others are a check of it: direct ones, and coarsely those of a
+few reflections. What they change by counts in the stated errors, and is warned of where it is more
+than is permitted.
 """
 
 from collections.abc import Sequence
@@ -67,8 +68,13 @@ def traced_interval(
     spans = 2
     if worst.error <= permitted:
         found = trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
-        worst, remarks, spans = checked(scene, radar, fidelity, found, worst, permitted)
-        found = replace(found, warnings=found.warnings + remarks)
+        left_out = checked(scene, radar, fidelity, found, worst, permitted)
+        worst, spans = left_out.worst, left_out.spans
+        found = replace(
+            found,
+            bodies=left_out.stated(found.bodies),
+            warnings=found.warnings + left_out.remarks,
+        )
         if worst.error <= permitted or fidelity.radar_motion_tolerance is None:
             decision = _decision(worst, permitted, False)
             return replace(found, decisions=(*found.decisions, decision))

@@ -6,7 +6,7 @@ between wherever something has moved on by its own size.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.convergence import BodyEcho, percent, reference_levels
-from twin.radar.propagation.interval.affected import affected_alone, ways_m
+from twin.radar.propagation.interval.affected import unaffected, ways_m, with_silent
 from twin.radar.propagation.interval.bounds import Change, times_within
+from twin.radar.propagation.interval.reflected import changes_with_reflections
 from twin.radar.propagation.interval.sums import by_body, over_level
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -31,6 +32,30 @@ _CHECKED = ("optics", "auto", "rough")
 _HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
 
 
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What one instant leaves out: the ``worst`` change, what other times show considered;
+    ``remarks`` to warn of; ``spans`` between the times, at least 2; and what every body's echo
+    ``changes`` by, (n_bodies,), relative to the level that its error is relative to.
+    """
+
+    worst: Change
+    remarks: tuple[str, ...]
+    spans: int
+    changes: Array
+
+    def stated(self, bodies: Sequence[BodyEcho]) -> tuple[BodyEcho, ...]:
+        """Bodies with these changes in their stated errors."""
+        return tuple(
+            replace(
+                body,
+                estimated_error=body.estimated_error + change,
+                systematic=body.systematic + change,
+            )
+            for body, change in zip(bodies, self.changes.tolist(), strict=True)
+        )
+
+
 def checked(
     scene: Scene,
     radar: RadarDesign,
@@ -38,27 +63,26 @@ def checked(
     found: Propagation,
     worst: Change,
     permitted: float,
-) -> tuple[Change, tuple[str, ...], int]:
-    """The largest change, what direct echoes at other times differ by considered; what to warn of;
-    and the number of spans between these times, at least 2.
+) -> Checked:
+    """What one instant leaves out, by echoes at other times.
 
     ``found``: echoes of the middle; ``worst``: the largest change by bounds; ``permitted``: of an
     echo. Nothing is traced where nothing moves by a quarter of a wavelength against the radar.
     """
     ways = _ways(scene, radar.burst_s / 2)
     if fidelity.radar not in _CHECKED or not np.any(ways[:, 0] > radar.ofdm.wavelength_m / 4):
-        return worst, (), 2
+        return Checked(worst, (), 2, np.zeros(len(found.bodies)))
     sizes = float(np.max(ways[:, 0] / np.maximum(ways[:, 1], 1e-9)))
     spans = _spans(sizes)
-    changes, reflected = _differences(scene, radar, fidelity, found, spans)
-    worst, remarks = _told(scene, radar, found.bodies, changes, reflected, worst, permitted)
+    differences = _differences(scene, radar, fidelity, found, spans)
+    worst, remarks, changes = _told(scene, radar, found.bodies, differences, worst, permitted)
     if 2 * sizes > spans:
         remarks += (
             f"motion within an interval: something moves by {2 * sizes:.2g} times its own size; "
             f"echoes were compared at {spans + 1} times, and what is seen only between them is "
             "left out",
         )
-    return worst, remarks, spans
+    return Checked(worst, remarks, spans, changes)
 
 
 def _ways(scene: Scene, half_s: float) -> Array:
@@ -81,12 +105,23 @@ def _spans(sizes: float) -> int:
     return 2 * 2 ** int(np.ceil(np.log2(np.clip(sizes, 1, _MOST_TIMES // 2))))
 
 
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """What echoes at other times differ by, ``direct`` ones and those ``with_reflections``, and
+    what is ``reflected`` more than once: of every body, and last of what the middle does not hear,
+    (n_bodies + 1,) each.
+    """
+
+    direct: Array
+    with_reflections: Array
+    reflected: Array
+
+
 def _differences(
     scene: Scene, radar: RadarDesign, fidelity: Fidelity, found: Propagation, spans: int
-) -> tuple[Array, Array]:
-    """Of each body's echo, what direct echoes at other times differ by, and what is reflected more
-    than once; the last row is of what the middle does not hear, (n_bodies + 1,) each. Of bodies
-    that nothing moves, and that nothing that moves may hide, nothing changes.
+) -> _Differences:
+    """What echoes at other times differ by from the middle's. Of direct echoes of bodies that
+    nothing moves, and that nothing that moves may hide, nothing changes.
 
     The direct echoes of all times are followed to the middle, where they and its own would be the
     same if nothing changed: the largest difference from the middle's, and of both ends, is told.
@@ -95,10 +130,11 @@ def _differences(
         radar="optics", radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0
     )
     half_s, bodies = radar.burst_s / 2, found.bodies
-    changing = affected_alone(scene, half_s, found.roles, bodies)
-    sums = {}
-    for time in times_within(scene, half_s * np.linspace(-1, 1, spans + 1)).tolist():
-        there = trace(changing.after(time), radar, fidelity=direct, followed_s=half_s)
+    silent = unaffected(scene, half_s, found.roles, bodies)
+    times = times_within(scene, half_s * np.linspace(-1, 1, spans + 1)).tolist()
+    worlds, sums = {time: scene.after(time) for time in times}, {}
+    for time, world in worlds.items():
+        there = trace(with_silent(world, silent), radar, fidelity=direct, followed_s=half_s)
         echoes = there.contributions
         followed = replace(echoes, delay_s=echoes.delays_at(-time))
         sums[time] = by_body(radar, bodies, there, followed, paths=False)
@@ -106,8 +142,9 @@ def _differences(
     whole = by_body(radar, bodies, found, found.contributions, paths=False)
     level = reference_levels(whole, fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar))
     changes = [over_level(one - middle, level) for one in sums.values()]
-    return (
+    return _Differences(
         np.max([*changes, over_level(first - last, level)], axis=0),
+        np.append(changes_with_reflections(worlds, radar, fidelity, bodies, level[:-1]), 0.0),
         over_level(whole - middle, level),
     )
 
@@ -116,32 +153,40 @@ def _told(
     scene: Scene,
     radar: RadarDesign,
     bodies: Sequence[BodyEcho],
-    changes: Array,
-    reflected: Array,
+    differences: _Differences,
     worst: Change,
     permitted: float,
-) -> tuple[Change, tuple[str, ...]]:
-    """The largest change, and what to warn of: of every body what its direct echo changes by, and
-    what is reflected between its parts where these turn.
+) -> tuple[Change, tuple[str, ...], Array]:
+    """The largest change, what to warn of, and what every body's echo changes by at the times that
+    are compared. Where parts of a body turn, at most all that is reflected between them changes.
     """
-    remarks = []
+    remarks, largest = [], []
     names = [*(body.name for body in bodies), "what the middle does not hear"]
-    for number, name in enumerate(names):
-        objects = bodies[number].objects if number < len(bodies) else ()
-        turning = reflected[number] > permitted and _parts_turn(scene, radar, objects)
-        changed = float(max(changes[number], reflected[number] if turning else 0.0))
+    rows = differences.direct, differences.with_reflections, differences.reflected
+    for number, (name, direct, both, reflected) in enumerate(zip(names, *rows, strict=True)):
+        is_heard = number < len(bodies)
+        objects = bodies[number].objects if is_heard else ()
+        turning = reflected > permitted and _parts_turn(scene, radar, objects)
+        largest.append(float(max(direct, both)))
+        changed = max(largest[-1], float(reflected) if turning else 0.0)
         if changed > worst.error:
             worst = replace(worst, name=name, changed=changed)
-        if changes[number] > permitted:
-            is_heard = number < len(bodies)
-            remarks.append(_changed_remark(name, float(changes[number]), permitted, is_heard))
+        if direct > permitted:
+            remarks.append(_changed_remark(name, float(direct), permitted, is_heard))
         if turning:
             remarks.append(
-                f"motion within an interval: {percent(reflected[number])} % of the echo of "
+                f"motion within an interval: {percent(reflected)} % of the echo of "
                 f"{name} are reflections between parts that turn, of which only delays "
-                f"change: {_HOW}"
+                f"change; from the middle to the end the echo changes by {percent(both)} %: "
+                f"{_HOW}"
             )
-    return worst, tuple(remarks)
+        elif both > max(permitted, direct):
+            remarks.append(
+                f"motion within an interval: with reflections the echo of {name} changes by "
+                f"{percent(both)} % beyond its delays, which is left out; {percent(permitted)} % "
+                f"permitted: {_HOW}"
+            )
+    return worst, tuple(remarks), np.array(largest[: len(bodies)])
 
 
 def _changed_remark(name: str, changed: float, permitted: float, is_heard: bool) -> str:
