@@ -66,8 +66,8 @@ class Helper:
         theirs.close()
 
     def ask(self, call: Callable[..., Any], *args: Any) -> bool:
-        """Have ``call(*args)`` made; False, and nothing is done, where it can't be pickled, or after
-        another call or `close`.
+        """Have ``call(*args)`` made; False, and nothing is done, where it can't be pickled,
+        or after another call or `close`.
         """
         if not self._free:
             return False

@@ -66,21 +66,25 @@ class Direction:
 
     @property
     def azimuth_error_rad(self) -> float:
-        """To first order; to second where the target stands in the array's axis."""
+        """To first order; near the array's axis from the interval of the cosine."""
         level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
-        return _angle_error(self.left_error, level * np.cos(self.azimuth_rad))
+        return _angle_error(self.left_error / max(level, 1e-9), np.cos(self.azimuth_rad))
 
     @property
     def elevation_error_rad(self) -> float:
-        """To first order; to second where the target stands in the array's axis."""
+        """To first order; near the array's axis from the interval of the cosine."""
         return _angle_error(self.up_error, np.cos(self.elevation_rad))
 
 
 def _angle_error(error: float, cosine: float) -> float:
-    """Standard error of an angle, of that of its sine: of a sine of 1 - x the angle is off a right
-    one by the root of 2 x, however small the cosine.
+    """Standard error of an angle, of that of its sine; near a right angle, where the first order
+    has no bound, the farther of both ends of the sine's interval.
     """
-    return float(error / max(cosine, np.sqrt(error / 2), 1e-9))
+    if cosine**2 > 8 * error or np.isnan(error):
+        return float(error / cosine)
+    sine = np.sqrt(max(1 - cosine**2, 0.0))
+    ends = np.arcsin(np.clip([sine - error, sine + error], -1, 1))
+    return float(np.abs(ends - np.arcsin(sine)).max())
 
 
 def direction(
