@@ -9,6 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from typing import Any
 
 from twin.errors import EngineError, InputError
@@ -16,7 +17,7 @@ from twin.errors import EngineError, InputError
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def start_process(target: Callable[..., None], *args: Any) -> None:
+def start_process(target: Callable[..., None], *args: Any) -> SpawnProcess:
     """Run ``target(*args)`` in a new process.
 
     Ctrl-C goes to all processes of a terminal: it is left to this one. The new process ends at once
@@ -25,9 +26,11 @@ def start_process(target: Callable[..., None], *args: Any) -> None:
     resource_tracker.ensure_running()  # first, since it lifts what is blocked
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        SPAWN.Process(target=_until_parent_ends, args=(target, args), daemon=True).start()
+        process = SPAWN.Process(target=_until_parent_ends, args=(target, args), daemon=True)
+        process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return process
 
 
 def attempt(call: Callable[..., Any], *args: Any) -> tuple[Any, Exception | None]:
@@ -47,6 +50,9 @@ def attempt(call: Callable[..., Any], *args: Any) -> tuple[Any, Exception | None
 class Helper:
     """A process that makes one call while this one does something else.
 
+    As all processes of `multiprocessing` it loads the script that starts it: there it is started
+    under ``if __name__ == "__main__":``, and not from a script on standard input.
+
     Parameters
     ----------
     module
@@ -55,19 +61,25 @@ class Helper:
 
     def __init__(self, module: str) -> None:
         self._line, theirs = SPAWN.Pipe()
-        start_process(_help, theirs, module)
+        self._process = start_process(_help, theirs, module)
+        self._free = True
         theirs.close()
 
     def ask(self, call: Callable[..., Any], *args: Any) -> bool:
-        """Have ``call(*args)`` made; False where it can't be pickled, and nothing is done."""
+        """Have ``call(*args)`` made; False, and nothing is done, where it can't be pickled,
+        or after another call or `close`.
+        """
+        if not self._free:
+            return False
         try:
             asked = pickle.dumps((call, args), protocol=pickle.HIGHEST_PROTOCOL)
         except Exception:  # whatever a user's own part raises
             return False
+        self._free = False
         try:
             self._line.send_bytes(asked)
-        except OSError as error:
-            raise EngineError("a process started by this one has died") from error
+        except OSError:
+            raise self._died() from None
         return True
 
     def answer(self) -> Any:
@@ -77,14 +89,25 @@ class Helper:
         try:
             found, error = self._line.recv()
         except (EOFError, OSError):
-            raise EngineError("a process started by this one has died") from None
+            raise self._died() from None
         if error:
             raise error
         return found
 
     def close(self) -> None:
         """End the process; any number of times."""
+        self._free = False
         self._line.close()
+
+    def _died(self) -> EngineError:
+        self._process.join(1.0)
+        code = self._process.exitcode
+        if code is not None and code < 0:
+            how = f": ended by {signal.Signals(-code).name}"
+            how += ", for want of memory maybe" * (code == -signal.SIGKILL)
+        else:
+            how = "" if code is None else f": exit status {code}"
+        return EngineError(f"a process started by this one has died{how}")
 
 
 def _help(line: Connection, module: str) -> None:

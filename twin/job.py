@@ -151,12 +151,16 @@ def run(
             apart = _asked(helper, *of_camera) if systems and design else None
             view, evaluations = (None, ()) if apart else _camera(*of_camera, stages)
             echoes: RadarEvaluation | None = None
-            if design:
-                weather = systems[0].weather if systems else None
-                echoes = _radar(world, design, weather, seed, knobs, stages, how)
-                _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
-            if apart:
-                view, evaluations = _answer(apart, stages)
+            try:
+                if design:
+                    weather = systems[0].weather if systems else None
+                    echoes = _radar(world, design, weather, seed, knobs, stages, how)
+                    _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
+                if apart:
+                    view, evaluations = _answer(apart, stages)
+            finally:
+                if apart:
+                    use_cores(1)
             if evaluations:
                 first = evaluations[0].capture
                 write_truth(first.truth, partial / "truth.exr")
@@ -245,7 +249,6 @@ def _answer(helper: Helper, stages: Stages) -> _Camera:
     found, seconds = helper.answer()
     for name, took_s in seconds.items():
         stages.ended(name, took_s)
-    use_cores(1)
     return found
 
 

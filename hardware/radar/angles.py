@@ -66,14 +66,25 @@ class Direction:
 
     @property
     def azimuth_error_rad(self) -> float:
-        """To first order."""
+        """To first order; near the array's axis from the interval of the cosine."""
         level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
-        return float(self.left_error / max(level * np.cos(self.azimuth_rad), 1e-9))
+        return _angle_error(self.left_error / max(level, 1e-9), np.cos(self.azimuth_rad))
 
     @property
     def elevation_error_rad(self) -> float:
-        """To first order."""
-        return float(self.up_error / max(np.cos(self.elevation_rad), 1e-9))
+        """To first order; near the array's axis from the interval of the cosine."""
+        return _angle_error(self.up_error, np.cos(self.elevation_rad))
+
+
+def _angle_error(error: float, cosine: float) -> float:
+    """Standard error of an angle, of that of its sine; near a right angle, where the first order
+    has no bound, the farther of both ends of the sine's interval.
+    """
+    if cosine**2 > 8 * error or np.isnan(error):
+        return float(error / cosine)
+    sine = np.sqrt(max(1 - cosine**2, 0.0))
+    ends = np.arcsin(np.clip([sine - error, sine + error], -1, 1))
+    return float(np.abs(ends - np.arcsin(sine)).max())
 
 
 def direction(
@@ -143,15 +154,15 @@ def _other_lobes(
     """Direction cosines (n, 2) of lobes of which noise along their beam, or along the best one, may
     make up the difference to that, the largest first.
     """
-    signal = max(noise.signal_w(amplitude) * len(amplitude), 1e-300)
+    power_w = max(float(np.vdot(amplitude, amplitude).real), 1e-300)
     highest = float(_shares(best, amplitude, places))
     most_w = max(float(np.linalg.eigvalsh(noise.covariance_w)[-1]), noise.least_w)
-    lobes = _lobes(amplitude, places, seen, highest - CERTAIN * most_w / signal - _ROUNDING)
+    lobes = _lobes(amplitude, places, seen, highest - CERTAIN * most_w / power_w - _ROUNDING)
     lobes = lobes[np.abs(lobes - best).max(axis=1) > _ALIKE]
     beam_w = noise.along(steering(places, best))
     noise_w = np.array([max(beam_w, noise.along(steering(places, lobe))) for lobe in lobes])
     lower = highest - _shares(lobes, amplitude, places)
-    return lobes[lower <= CERTAIN * noise_w / signal + _ROUNDING]
+    return lobes[lower <= CERTAIN * noise_w / power_w + _ROUNDING]
 
 
 def _is_single(share: float, snr: float, n_channels: int) -> bool:
@@ -198,22 +209,32 @@ def compensate_motion(amplitude: Complex, burst: DemodulatedBurst, delay_rate: f
 
 def _beam_maximum(amplitude: Complex, places: Array, seen: Flags) -> Array:
     """Direction cosines (2,) of the highest beam: a grid, then Newton's method."""
-    grid, beam = _beam(amplitude, places, seen)
-    start = grid[np.unravel_index(np.argmax(beam), beam.shape)]
-    return _refined(start[None], amplitude, places, seen)[0]
+    return _lobes(amplitude, places, seen, None)[0]
 
 
-def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float) -> Array:
+def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float | None) -> Array:
     """Direction cosines (n, 2) of all lobes that explain at least a share of the power, the largest
-    first.
+    first; of those that may be the largest if no share is named.
+
+    Of a lobe whose highest place no direction has, that one on the horizon which explains most.
     """
     from scipy.ndimage import maximum_filter
 
     grid, beam = _beam(amplitude, places, seen)
-    tops = (beam == maximum_filter(beam, 3)) & (beam >= least - _BETWEEN)
+    if least is None:
+        lowest = beam[np.sum(grid**2, axis=-1) <= 1].max() * (1 - _BETWEEN)
+    else:
+        lowest = least - _BETWEEN
+    tops = (beam == maximum_filter(beam, 3)) & (beam >= lowest)
     cosines = _refined(grid[tops], amplitude, places, seen)
+    beyond = np.sum(cosines**2, axis=1) > 1
+    cosines[beyond] = _on_horizon(cosines[beyond], amplitude, places, seen)
     shares = _shares(cosines, amplitude, places)
-    likely = (shares >= least) & (np.sum(cosines**2, axis=1) <= 1)
+    if least is None:
+        likely = np.full(len(shares), True)
+    else:
+        within = _shares((1 - _ALIKE) * cosines, amplitude, places)
+        likely = (shares >= least) & ~(beyond & (within > shares))
     found = cosines[likely][np.argsort(-shares[likely])]
     _, first = np.unique(np.round(found, 5), axis=0, return_index=True)  # of several starts of one
     return found[np.sort(first)]
@@ -221,15 +242,16 @@ def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float) -> Arra
 
 def _beam(amplitude: Complex, places: Array, seen: Flags) -> tuple[Array, Array]:
     """Direction cosines (n_left, n_up, 2) a quarter of a lobe apart, and the share of the power
-    that each explains; -1 of those that no direction has.
+    that each explains; -1 of those that are farther from all directions than the next of them.
     """
+    apart = 0.25 / np.maximum(extents(places), 0.25)
     axes = [
-        np.arange(-1, 1, 0.25 / max(extent, 0.25)) if there else np.zeros(1)
-        for extent, there in zip(extents(places), seen, strict=True)
+        np.linspace(-1, 1, int(np.ceil(2 / step)) + 1) if there else np.zeros(1)
+        for step, there in zip(apart, seen, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    visible = np.sum(grid**2, axis=-1) <= 1
-    return grid, np.where(visible, _shares(grid, amplitude, places), -1.0)
+    beyond = np.sum(np.maximum(np.abs(grid) - apart, 0.0) ** 2, axis=-1) > 1
+    return grid, np.where(beyond, -1.0, _shares(grid, amplitude, places))
 
 
 def _shares(cosines: Array, amplitude: Complex, places: Array) -> Array:
@@ -255,3 +277,27 @@ def _refined(start: Array, amplitude: Complex, places: Array, seen: Flags) -> Ar
         if np.abs(change).max() < 1e-9:
             break
     return np.asarray(cosines)
+
+
+def _on_horizon(start: Array, amplitude: Complex, places: Array, seen: Flags) -> Array:
+    """Direction cosines (n, 2) of modulus 1 near some starts (n, 2) that explain most, by Newton's
+    method over the angle about the boresight.
+    """
+    if not seen.all():
+        return np.asarray(np.sign(start))
+    angle = np.arctan2(start[:, 1], start[:, 0])
+    turn = 2j * np.pi * places
+    at_most = 0.25 / max(float(extents(places).max()), 0.25)
+    for _ in range(20):
+        cosines = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        along = np.stack([-cosines[:, 1], cosines[:, 0]], axis=1) @ turn.T
+        part = steering(places, cosines).conj() * amplitude
+        total = part.sum(axis=1)
+        first = -(part * along).sum(axis=1) / total
+        second = (part * (along**2 + cosines @ turn.T)).sum(axis=1) / total
+        curved = 2 * np.real(second - first**2)
+        change = 2 * first.real / np.maximum(np.abs(curved), 1e-300)
+        angle = angle + np.clip(change, -at_most, at_most)
+        if np.abs(change).max(initial=0.0) < 1e-9:
+            break
+    return np.stack([np.cos(angle), np.sin(angle)], axis=1)

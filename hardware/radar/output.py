@@ -100,8 +100,11 @@ def _known(value: float, text: str) -> str:
 
 def _alternatives(detection: Detection) -> str:
     rates = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
-    azimuths = ", ".join(f"{np.degrees(a):+.1f}" for a in detection.azimuth_alternatives_rad)
+    name, others_rad = "azimuth", detection.azimuth_alternatives_rad
+    if np.isnan(others_rad).any():  # of an upright array
+        name, others_rad = "elevation", detection.elevation_alternatives_rad
+    angles = ", ".join(f"{np.degrees(angle):+.1f}" for angle in others_rad)
     return "; ".join(
         [f"rate ambiguous, or {rates} m/s"] * bool(rates)
-        + [f"azimuth ambiguous, or {azimuths} deg"] * bool(azimuths)
+        + [f"{name} ambiguous, or {angles} deg"] * bool(angles)
     )

@@ -81,6 +81,53 @@ def test_the_likeliest_comes_first() -> None:
         assert np.all(np.diff(power) < 0)
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+@pytest.mark.parametrize("n_antennas", [2, 8])
+@pytest.mark.parametrize("cosine", [0.97, -0.99])
+def test_in_the_axis_of_the_array(axis: int, n_antennas: int, cosine: float) -> None:
+    """Half a wavelength apart: the same lobe stands beyond the other end, at 0.97 - 2, where there
+    is no direction, and is none of those told.
+    """
+    places = np.zeros((n_antennas, 3))
+    places[:, axis] = HALF_M * np.arange(n_antennas)
+    burst = at_rest(receivers_m=places)
+    cosines = (cosine, 0.0) if axis == 1 else (0.0, cosine)
+    found = seen(burst, cosines, 50.0, np.random.default_rng(1))
+    assert (found.left, found.up)[axis - 1] == pytest.approx(cosine, abs=0.02)
+    assert found.others == ()
+    error_rad = found.azimuth_error_rad if axis == 1 else found.elevation_error_rad
+    assert error_rad < 0.05
+
+
+def test_a_target_in_the_axis_is_among_those_told() -> None:
+    """Noise raises its lobe highest where no direction is, in about half of the draws: the one on
+    the horizon stands for it. Its azimuth is off by what is stated, within a factor of 2.
+    """
+    burst = at_rest(receivers_m=HALF_M * np.array([[0, i, 0] for i in range(8)]))
+    rng, cosines = np.random.default_rng(3), (0.999, 0.0)
+    draws = [seen(burst, cosines, 17.0, rng) for _ in range(300)]
+    assert all(off_lobes(one, burst, cosines).min() < 0.5 for one in draws)
+    assert all(abs(left) <= 1 for one in draws for left, _ in [(one.left, 0), *one.others])
+    near = [one for one in draws if one.left > 0]
+    off = np.array([one.azimuth_rad - np.arcsin(0.999) for one in near])
+    stated = np.array([one.azimuth_error_rad for one in near])
+    assert 0.5 < np.sqrt(np.mean(off**2) / np.mean(stated**2)) < 2
+
+
+def test_the_best_explains_most() -> None:
+    """Of all directions told, at an SNR at which a grid alone often begins at another lobe."""
+    burst, rng = at_rest(**PLANAR), np.random.default_rng(4)
+    places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
+    n = len(places)
+    for _ in range(300):
+        amplitude = steering(places, np.array([0.4, 0.2])) / np.sqrt(4) + drawn(rng, np.eye(n))
+        found = direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0))
+        told = np.array([(found.left, found.up), *found.others])
+        beam = np.abs(steering(places, told).conj() @ amplitude) ** 2
+        assert np.all(np.diff(beam) <= 1e-9 * beam[0])
+        assert np.all(np.sum(told**2, axis=1) <= 1 + 1e-9)
+
+
 def test_of_no_array_there_are_none() -> None:
     found = seen(at_rest(), (0.0, 0.0), 12.0, np.random.default_rng(1))
     assert np.isnan([found.left, found.up]).all()
@@ -105,6 +152,13 @@ def test_they_are_printed_and_columns_of_the_cloud() -> None:
     np.testing.assert_array_equal(columns["azimuth_alternatives"], [1, 0])
     np.testing.assert_array_equal(columns["azimuth_alternative_1_rad"], [-0.4, np.nan])
     np.testing.assert_array_equal(columns["elevation_alternative_1_rad"], [np.nan, np.nan])
+
+
+def test_of_an_upright_array_elevations_are_printed() -> None:
+    nan = float("nan")
+    upright = replace(ambiguous(), azimuth_rad=nan, azimuth_alternatives_rad=(nan,) * 2)
+    upright = replace(upright, elevation_alternatives_rad=(0.1, -0.2))
+    assert "elevation ambiguous, or +5.7, -11.5 deg" in list(table_rows([upright]))[1]
 
 
 def test_a_track_does_not_begin_in_one_of_several_directions() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+import drjit
 import psutil
 import pytest
 
@@ -49,8 +50,23 @@ def test_code_of_ones_own_may_not_exit(helper: Helper) -> None:
 
 def test_a_process_that_dies_is_told(helper: Helper) -> None:
     assert helper.ask(os._exit, 1)
-    with pytest.raises(EngineError, match="a process started by this one has died"):
+    with pytest.raises(EngineError, match="a process started by this one has died: exit status 1"):
         helper.answer()
+
+
+def test_a_process_that_is_killed_is_told(helper: Helper) -> None:
+    assert helper.ask(signal.raise_signal, signal.SIGKILL)
+    with pytest.raises(EngineError, match="has died: ended by SIGKILL, for want of memory maybe"):
+        helper.answer()
+
+
+def test_one_call_and_no_other(helper: Helper) -> None:
+    assert helper.ask(abs, -3)
+    assert not helper.ask(abs, -4)
+    assert helper.answer() == 3
+    helper.close()
+    assert not helper.ask(abs, -5)
+    helper.close()
 
 
 def test_what_cannot_be_sent_is_not_asked(helper: Helper) -> None:
@@ -89,6 +105,18 @@ def test_a_run_tells_the_camera_error_of_the_helper(tmp_path: Path) -> None:
     assert words[0] == words[1]
     assert "of one of my own" in words[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_all_cores_are_used_again_after_an_error(tmp_path: Path) -> None:
+    """Of the radar, while the helper computes the camera."""
+    own = tmp_path / "own.py"
+    own.write_text("def find(channel, waveform, image):\n    raise ValueError('of my own')\n")
+    helper = Helper("twin.job")
+    with pytest.raises(InputError, match="of my own"):
+        run("table1", compare=None, radar="paper-80", fidelity=PRESETS["draft"],
+            out=tmp_path / "out", detection=f"{own}:find", helper=helper)  # fmt: skip
+    helper.close()
+    assert drjit.thread_count() == len(os.sched_getaffinity(0))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
