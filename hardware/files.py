@@ -108,7 +108,7 @@ def place_beside(path: str | Path) -> Iterator[Path]:
     removed.
 
     What killed processes of this machine left of the same path is removed too. An OSError that
-    names no file names ``path``.
+    names no file, or this place, names ``path``.
     """
     path = Path(path)
     partial = partial_path(path)
@@ -116,6 +116,12 @@ def place_beside(path: str | Path) -> Iterator[Path]:
         _remove_leftovers(path)
         try:
             yield partial
+        except OSError as error:
+            named, hidden = str(error.filename), str(partial)
+            if error.errno is None or not named.startswith(hidden):
+                raise
+            place = f"{path}{named.removeprefix(hidden)}"
+            raise OSError(error.errno, error.strerror, place) from error
         finally:
             _remove(partial)
 

@@ -248,6 +248,16 @@ def test_what_is_no_array_is_not_said_to_be_a_pickle_to_trust(
         read_array(path)
 
 
+def test_a_folder_that_is_missing_is_told_by_the_users_name(
+    record: SpiRecord, tmp_path: Path
+) -> None:
+    """Not by that of the place beside, where a file is written first."""
+    path = tmp_path / "missing" / "record.h5"
+    with pytest.raises(FileNotFoundError) as caught:
+        write_record(record, path)
+    assert caught.value.filename == str(path)
+
+
 def test_a_compressed_record_is_read(record: SpiRecord, tmp_path: Path) -> None:
     """As other tools may repack it: by deflate, which packs at most 1032 to 1."""
     write_record(record, path := tmp_path / "record.h5")

@@ -243,3 +243,21 @@ def test_a_swept_field_replaces_the_alternatives_to_it(
     section = getattr(changed(entry, ((field, value),), Inputs(tmp_path, {})), field.split(".")[0])
     assert getattr(section, left) is None
     assert str(value) in str(getattr(section, field.split(".")[1]).value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (
+            '[sample]\nmethod = "sobol"\nn = 64\n[sample.ranges]\n"x" = [1, 2]',
+            "sample.ranges.x = [1, 2]: expected a table of high, log, low",
+        ),
+        ("sample = [1]", "sample = [1]: expected a table of method, n, "),
+        ("grid = 3", "grid = 3: expected a table"),
+    ],
+)
+def test_what_should_be_a_table_is_told_its_fields(tmp_path: Path, lines: str, told: str) -> None:
+    head = 'name = "x"\nscene = "yard"\nsystem = "workable"\nmetrics = ["snr_median"]\n'
+    (tmp_path / "study.toml").write_text(head + lines)
+    with pytest.raises(InputError, match=re.escape(told)):
+        load_study(tmp_path / "study.toml")

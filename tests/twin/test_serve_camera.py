@@ -450,6 +450,7 @@ def test_settings_of_a_system_change_nothing_of_it(tmp_path: Path, shown: dict) 
         (["--radar", "tcp:5555", "--design", "prototype"], "--radar-at where they are"),
         (["--spi-settings", "camera.toml", "--radar-at", "tcp:5555"], "expected --spi-at too"),
         (["--radar-setup", "radar.json", "--spi-at", "pty"], "expected --radar-at too"),
+        (["--spi-at", "pty", "--spi-settings", "nowhere/c.toml"], "nowhere is no folder"),
     ],
 )
 def test_options_that_do_not_fit(monkeypatch, capsys, options: list[str], message: str) -> None:

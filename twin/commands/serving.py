@@ -88,6 +88,8 @@ def serve(
     ):
         if file is not None and place is None:
             raise InputError(f"{option}: expected {where} too, that device is not served")
+        if file is not None and not file.absolute().parent.is_dir():
+            raise InputError(f"{option}: {file.parent} is no folder")
     how: Pace = "real" if pace == "real" else "fast"
     camera_address = radio_address = None
     if spi_at is not None and spi_at != "pty":

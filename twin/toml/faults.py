@@ -22,6 +22,7 @@ _EXPECTED = {
     "too_short": "at least {min_length} of them",
     "too_long": "at most {max_length} of them",
     "tuple_type": "a list",
+    "dict_type": "a table",
 }
 
 _NUMBERS = {2: "two", 3: "three", 4: "four"}
@@ -77,6 +78,8 @@ def _fault(
         message = no_such_field(str(place[-1]), known)
         if "did you mean" not in message and known:
             message += f", expected {', '.join(known)}"
+    if kind == "model_type":
+        message = f"expected a table of {', '.join(sorted(_fields_at(model, place)))}"
     if kind in _EXPECTED:
         limits = {name: _limit(value) for name, value in fault.get("ctx", {}).items()}
         message = "expected " + _EXPECTED[kind].format(**limits)
