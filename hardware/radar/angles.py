@@ -22,9 +22,10 @@ Flags = NDArray[np.bool_]
 #: What a lobe may have more than the nearest place of the grid, of the power: an eighth of a lobe
 #: off along both axes of an array of four corners.
 _BETWEEN = 0.3
-_ROUNDING = 1e-9  # of the power, where there is no noise
 _ALIKE = 1e-4  # difference of direction cosines of one lobe
 _UNEVEN = 1e-3  # power that calibration errors of the channels take from a single target's beam
+_ROUNDING = 1e-9  # of the power, where there is no noise
+_EQUALLY_LIKELY = 0.1  # difference of the logarithms of likelihoods that tells nothing
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,10 @@ def direction(
     seen = extents(places) > 1e-3
     cosines = np.empty((len(rates), 2))
     share = np.empty(len(rates))  # of the power that one direction explains
+    alike = _UNEVEN + _EQUALLY_LIKELY * noise.mean_w / max(_power_w(amplitude), 1e-300)
     for i, rate in enumerate(rates):
         still = compensate_motion(amplitude, burst, rate)
-        cosines[i] = _beam_maximum(still, places, seen)
+        cosines[i] = _most_likely(still, places, seen, alike)
         share[i] = _shares(cosines[i], still, places)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
     phases = compensate_motion(steering(places, cosines[best]).conj(), burst, rates[best]).conj()
@@ -154,7 +156,7 @@ def _other_lobes(
     """Direction cosines (n, 2) of lobes of which noise along their beam, or along the best one, may
     make up the difference to that, the largest first.
     """
-    power_w = max(float(np.vdot(amplitude, amplitude).real), 1e-300)
+    power_w = max(_power_w(amplitude), 1e-300)
     highest = float(_shares(best, amplitude, places))
     most_w = max(float(np.linalg.eigvalsh(noise.covariance_w)[-1]), noise.least_w)
     lobes = _lobes(amplitude, places, seen, highest - CERTAIN * most_w / power_w - _ROUNDING)
@@ -207,9 +209,20 @@ def compensate_motion(amplitude: Complex, burst: DemodulatedBurst, delay_rate: f
     return np.asarray(amplitude * np.exp(2j * np.pi * cycles))
 
 
-def _beam_maximum(amplitude: Complex, places: Array, seen: Flags) -> Array:
-    """Direction cosines (2,) of the highest beam: a grid, then Newton's method."""
-    return _lobes(amplitude, places, seen, None)[0]
+def _power_w(amplitude: Complex) -> float:
+    """Of all channels together."""
+    return float(np.vdot(amplitude, amplitude).real)
+
+
+def _most_likely(amplitude: Complex, places: Array, seen: Flags, alike: float) -> Array:
+    """Direction cosines (2,) of the highest beam; of those that explain as much of the power to
+    within ``alike`` the nearest to the boresight, where antennas are most sensitive: beams of
+    antennas a wavelength or more apart are equal.
+    """
+    lobes = _lobes(amplitude, places, seen, None)
+    shares = _shares(lobes, amplitude, places)
+    equal = lobes[shares >= shares[0] - alike]
+    return np.asarray(equal[np.argmin(np.sum(equal**2, axis=1))])
 
 
 def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float | None) -> Array:

@@ -123,8 +123,10 @@ def test_the_best_explains_most() -> None:
         amplitude = steering(places, np.array([0.4, 0.2])) / np.sqrt(4) + drawn(rng, np.eye(n))
         found = direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0))
         told = np.array([(found.left, found.up), *found.others])
-        beam = np.abs(steering(places, told).conj() @ amplitude) ** 2
-        assert np.all(np.diff(beam) <= 1e-9 * beam[0])
+        beam = np.abs(steering(places, told).conj() @ amplitude) ** 2 / n
+        power = np.vdot(amplitude, amplitude).real
+        assert beam[0] >= beam.max() - 1e-3 * power - 0.1  # as likely, and nearer to the boresight
+        assert np.all(np.diff(beam[1:]) <= 1e-9 * beam[0])
         assert np.all(np.sum(told**2, axis=1) <= 1 + 1e-9)
 
 
@@ -175,3 +177,14 @@ def test_a_track_does_not_begin_in_one_of_several_directions() -> None:
     (track,) = tracker.tracks
     assert track.hits == 3
     assert np.arctan2(track.state[1], track.state[0]) == pytest.approx(-0.4, abs=0.05)
+
+
+@pytest.mark.parametrize("apart", [1.0, 2.0])
+def test_of_equal_directions_the_one_nearest_to_the_boresight_is_the_first(apart: float) -> None:
+    """Antennas a wavelength and more apart, where rounding alone would decide."""
+    line = {"receivers_m": HALF_M * np.array([[0, 2 * apart * i, 0] for i in range(4)])}
+    burst, rng = at_rest(**line), np.random.default_rng(5)
+    for _ in range(50):
+        found = seen(burst, (0.1, 0.0), 20.0, rng)
+        assert abs(found.left - 0.1) < 0.5 / apart / 4
+        assert len(found.others) >= 2 * apart - 1
