@@ -17,7 +17,7 @@ from benchmarks.mirrored_currents import echoes
 from benchmarks.timing import Figure
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
-from twin.radar import load_radar
+from twin.radar import RadarDesign, load_radar
 from twin.radar.propagation.facets.convergence import band_of
 from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -32,6 +32,8 @@ Complex = NDArray[np.complex128]
 #: Scenes of every family, by tolerance.
 _SCENES = {0.3: 20, 0.1: 50, 0.03: 20}
 _SPACING_M = 3.8e-3 / 8
+_OF_ESTIMATE = 0.2
+_CLOSEST = 4
 
 
 @dataclass(frozen=True)
@@ -81,21 +83,72 @@ def compared(
 ) -> Iterator[Compared]:
     """Every body of a random scene at every tolerance."""
     case, radar = FAMILIES[family](np.random.default_rng(seed)), load_radar("hybrid-79")
-    frequencies = band_of(radar.ofdm)
-    truth = echoes(case.objects, radar, frequencies, case.bounces, _SPACING_M, case.ground, least=4)
-    for tolerance in tolerances:
-        fidelity = Fidelity(radar="optics", radar_tolerance=tolerance, radar_bounces=case.bounces)
-        propagation = trace(scene_of(case), radar, fidelity=fidelity)
-        members = tuple(body.objects for body in propagation.bodies)
-        index = {item.name: i for i, item in enumerate(case.objects)}
-        found = echoes_by_body(propagation, members, radar, frequencies)
-        level = _rms(found)
-        least = OF_NOISE * noise_amplitude(radar) / tolerance
-        least = max(least, WEAKEST * float(level.max(initial=0.0)))
-        for body, echo, own in zip(propagation.bodies, found, level, strict=True):
-            true = truth[[index[name] for name in body.objects]].sum(axis=0)
-            error = float(_rms(echo - true) / max(own, least))
-            yield Compared(family, seed, body.name, error, body.estimated_error, tolerance)
+    traced = [body for tolerance in tolerances for body in _traced(case, radar, tolerance)]
+    truth = _truth(case, radar, traced)
+    for body in traced:
+        error = float(_rms(body.echo - truth[body.objects].sum(axis=0)) / body.level)
+        yield Compared(family, seed, body.name, error, body.estimate, body.tolerance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """A body as the solver traces it: its ``objects`` by index, its ``echo`` over the band, the
+    ``level`` that its error is relative to, the ``estimate`` of that, and the tolerance asked for.
+    """
+
+    name: str
+    objects: list[int]
+    echo: Complex
+    level: float
+    estimate: float
+    tolerance: float
+
+
+def _traced(case: Case, radar: RadarDesign, tolerance: float) -> Iterator[_Traced]:
+    fidelity = Fidelity(radar="optics", radar_tolerance=tolerance, radar_bounces=case.bounces)
+    propagation = trace(scene_of(case), radar, fidelity=fidelity)
+    members = tuple(body.objects for body in propagation.bodies)
+    index = {item.name: i for i, item in enumerate(case.objects)}
+    found = echoes_by_body(propagation, members, radar, band_of(radar.ofdm))
+    level = _rms(found)
+    least = OF_NOISE * noise_amplitude(radar) / tolerance
+    least = max(least, WEAKEST * float(level.max(initial=0.0)))
+    for body, echo, own in zip(propagation.bodies, found, level, strict=True):
+        objects = [index[name] for name in body.objects]
+        yield _Traced(
+            body.name, objects, echo, max(float(own), least), body.estimated_error, tolerance
+        )
+
+
+def _truth(case: Case, radar: RadarDesign, traced: Sequence[_Traced]) -> Complex:
+    """Of every object, by points so close that half their spacing changes no body by more than
+    `_OF_ESTIMATE` of what is stated of it, or `_CLOSEST` times as close: points miss a border of a
+    shadow by up to their spacing.
+    """
+    frequencies, closer = band_of(radar.ofdm), 1
+
+    def summed() -> Complex:
+        return echoes(
+            case.objects,
+            radar,
+            frequencies,
+            case.bounces,
+            _SPACING_M / closer,
+            case.ground,
+            least=4 * closer,
+        )
+
+    truth = summed()
+    while closer < _CLOSEST:
+        closer *= 2
+        before, truth = truth, summed()
+        off = [
+            float(_rms((truth - before)[body.objects].sum(axis=0)) / body.level) / body.estimate
+            for body in traced
+        ]
+        if max(off, default=0.0) <= _OF_ESTIMATE:
+            break
+    return truth
 
 
 def scene_of(case: Case) -> Scene:
