@@ -286,7 +286,7 @@ def hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
     in_turn = spearmanr(variance, timed.time_s[0][detail]).statistic
     if abs(float(in_turn)) > _IN_ORDER:
         yield (
-            "motion: none is taken out, and if there is any this record hardly tells it: its "
+            "motion: none is compensated, and if there is any this record hardly tells it: its "
             "patterns were shown from coarse to fine; show them in the order `interleaved`, or "
             "give the motion"
         )
