@@ -102,7 +102,7 @@ def test_every_method_is_listed() -> None:
     ("arguments", "message"),
     [
         (["missing.h5"], "missing.h5: no such record"),
-        ([__file__], "test_cli.py: is no HDF5 file, expected a record"),
+        ([__file__], "test_cli.py: is no HDF5 file, expected a ugv-spi-record"),
         (["RECORD", "--method", "magic"], "method: 'magic' is none of"),
         (["RECORD", "--mixing", "missing.npy"], "missing.npy"),
         (["RECORD", "--methods", "x"], "No such option"),
