@@ -1,5 +1,6 @@
 """Files of a user: text formats read with errors that name the file, and output that is whole."""
 
+import errno
 import glob
 import json
 import os
@@ -126,9 +127,29 @@ def place_beside(path: str | Path) -> Iterator[Path]:
             _remove(partial)
 
 
+def expect_writable(path: str | Path) -> None:
+    """Raise an OSError that names the file where it most likely can't be written, before the work
+    whose result it is to hold.
+    """
+    path = Path(path)
+    place = path if path.exists() else path.parent
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not place.exists():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    if not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """A `place_beside` that takes the name of ``path`` at the end, if nothing fails."""
+    """A `place_beside` that takes the name of ``path`` at the end, if nothing fails.
+
+    A pipe or a device (`/dev/stdout`) is written to as it is: another file would take its place.
+    """
+    if Path(path).exists() and not Path(path).is_file():
+        yield Path(path)
+        return
     with place_beside(path) as partial:
         yield partial
         os.replace(partial, path)

@@ -1,5 +1,6 @@
 """Pictures as PNG files, where Pillow (the extra ``png``) is installed."""
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +25,22 @@ def write_picture(path: Path, light: NDArray[np.floating[Any]]) -> None:
     write_grey(path, np.kron(shown, np.ones((enlarged, enlarged))))
 
 
+def expect_png(path: Path) -> None:
+    """Raise InputError where Pillow is not installed, or for a name that says another kind of
+    file.
+    """
+    if find_spec("PIL") is None:
+        raise InputError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'")
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: expected a name that ends in .png")
+
+
 def write_grey(path: Path, level: NDArray[np.floating[Any]]) -> None:
     """Levels from 0, black, to 1, white; row 0 on top.
 
-    Raises InputError where Pillow is not installed, or for a name that says another kind of file.
+    Raises InputError as `expect_png`.
     """
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise InputError(f"{path}: PNG needs Pillow: pip install 'ugv-twin[png]'") from error
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: expected a name that ends in .png")
+    expect_png(path)
+    from PIL import Image
+
     Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8)).save(path)

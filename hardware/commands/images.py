@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hardware.commands.output import Output, with_output
+from hardware.commands.output import Output, result_file, with_output
 from hardware.errors import InputError
 from hardware.formatting import counted, number, quantity_text, si
 
@@ -61,11 +61,13 @@ def reconstruct(
     from hardware import read_record
     from hardware import reconstruct as to_image
     from hardware.commands.motions import motion_of, told
+    from hardware.files import whole_file
     from hardware.png import write_picture
     from hardware.reconstruction import method_of, range_image
     from hardware.records.state import ALWAYS_OPEN
 
     solve, loaded = method_of(method), read_record(record)
+    target = result_file(record, f"-{solve.name}.npz", out, png)
     moved = motion_of(motion) if motion is not None else None
     start = time.perf_counter()
     say.step(f"read {record}")
@@ -120,8 +122,7 @@ def reconstruct(
         patterns=loaded.received.patterns.count,
         figures=[dict(zip(("name", "unit", "value"), each, strict=True)) for each in figures],
     )
-    target = out or record.with_name(f"{record.stem}-{solve.name}.npz")
-    with target.open("wb") as file:
+    with whole_file(target) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
     say.written(target)
     if png:

@@ -105,6 +105,24 @@ class Output:
             print(json_text(self.document | ends), flush=True)
 
 
+def result_file(record: Path, ending: str, out: Path | None, png: Path | None) -> Path:
+    """Where a command writes its result: ``out``, or beside its record by this ending.
+
+    Raises OSError or InputError, before the command's work, where that or its picture can't be
+    written.
+    """
+    from hardware.files import expect_writable
+
+    target = out or record.with_name(f"{record.stem}{ending}")
+    expect_writable(target)
+    if png:
+        from hardware.png import expect_png
+
+        expect_png(png)
+        expect_writable(png)
+    return target
+
+
 def with_output(
     function: Callable[..., None],
     command: str,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hardware.commands.output import Output, with_output
+from hardware.commands.output import Output, result_file, with_output
 from hardware.commands.quantities import quantity_of
 from hardware.errors import InputError
 from hardware.formatting import counted, si
@@ -118,6 +118,7 @@ def detect(
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
     loaded, table = read_radar_record(record), []
+    target = result_file(record, "-detections.csv", out, png)
     say.step(f"read {record}")
     for frame in frames(loaded, how):
         say.step(f"processed burst {frame.burst}")
@@ -134,7 +135,6 @@ def detect(
         record=record,
         detections=[{"burst": burst, **vars(detection)} for burst, detection in table],
     )
-    target = out or record.with_name(f"{record.stem}-detections.csv")
     write_detections(target, table)
     say.written(target)
 
@@ -176,6 +176,7 @@ def image(
             "one cell, 0 m <= near < far, and a width above 0 m"
         )
     loaded = read_radar_record(record)
+    target = result_file(record, "-image.csv", out, png)
     say.step(f"read {record}")
     focused = focus(
         loaded,
@@ -211,7 +212,6 @@ def image(
             {"name": "cross-range of the peak", "unit": "m", "value": cross_m},
         ],
     )
-    target = out or record.with_name(f"{record.stem}-image.csv")
     write_image(target, focused)
     say.written(target)
     if png:
@@ -269,6 +269,7 @@ def spectrogram(
     if receding and not over_all:
         raise InputError("--receding: within one burst the range stays: expected a log, no --burst")
     wanted = None if over_all else burst or 0
+    target = result_file(record, "-spectrogram.csv", out, png)
     intervals = _intervals(say, record, wanted, moving_only)
     if over_all:
         seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
@@ -293,7 +294,6 @@ def spectrogram(
             {"name": "peak", "unit": "dBm", "value": peak_dbm},
         ],
     )
-    target = out or record.with_name(f"{record.stem}-spectrogram.csv")
     write_spectrogram(target, seen)
     say.written(target)
     if png:

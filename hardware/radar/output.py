@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.files import whole_file
 from hardware.formatting import number, with_error
 from hardware.png import write_grey
 from hardware.radar.detection import Detection
@@ -28,7 +29,7 @@ def write_png(path: Path, power: NDArray[np.floating[Any]], span_db: float = 50.
 
 def write_detections(path: Path, detections: Iterable[tuple[int, Detection]]) -> None:
     """One row per detection, after the number of its burst; unknown values are empty."""
-    with path.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["burst", *(f.name for f in fields(Detection))])
         writer.writerows([burst, *map(cell, astuple(detection))] for burst, detection in detections)
@@ -46,7 +47,7 @@ def write_image(path: Path, image: RadarImage) -> None:
     power = np.abs(image.value) ** 2
     with np.errstate(divide="ignore"):
         level = 10 * np.log10(power / (power.max() or 1.0))
-    with path.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["down_range_m", *map("{:.6g}".format, image.cross_range_m)])
         for down, row in zip(image.down_range_m, level, strict=True):
@@ -57,7 +58,7 @@ def write_spectrogram(path: Path, seen: Spectrogram) -> None:
     """Power in dBm: times along the first row, the range rate first in each."""
     with np.errstate(divide="ignore"):
         level = 10 * np.log10(1e3 * seen.power_w)
-    with path.open("w", newline="") as file:
+    with whole_file(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["range_rate_m_per_s", *map("{:.9g}".format, seen.time_s)])
         for rate, row in zip(seen.range_rate_m_per_s, level, strict=True):

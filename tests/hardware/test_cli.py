@@ -14,6 +14,7 @@ from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.commands.entry import outcome
+from hardware.files import whole_file
 from hardware.reconstruction import METHODS, Mixing
 from hardware.records import QuaternionPose
 
@@ -113,6 +114,36 @@ def test_errors_are_one_line(record, arguments: list[str], message: str) -> None
     assert done.returncode == 2
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "message"),
+    [
+        ("--out", "none/a.npz", "No such file or directory"),
+        ("--out", ".", "Is a directory"),
+        ("--png", "none/a.png", "No such file or directory"),
+        ("--png", "a.jpeg", "expected a name that ends in .png"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_work(
+    record: tuple[Path, SpiRecord], tmp_path: Path, option: str, name: str, message: str
+) -> None:
+    pytest.importorskip("PIL")
+    path, _ = record
+    done = ugv("reconstruct", str(path), "--verbose", option, str(tmp_path / name))
+    assert (done.returncode, message in done.stderr) == (2, True), done.stderr
+    assert str(tmp_path) in done.stderr
+    assert "reconstructed" not in done.stderr
+
+
+def test_a_result_goes_into_a_pipe_as_it_is(tmp_path: Path) -> None:
+    """A file that took the place of a pipe or a device would be lost, and so would that."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with whole_file(pipe) as partial:
+        assert partial == pipe
+    assert pipe.is_fifo()
+    assert os.listdir(tmp_path) == ["pipe"]
 
 
 def test_version_help_and_completion() -> None:
