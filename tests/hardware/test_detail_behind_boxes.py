@@ -98,6 +98,7 @@ def test_a_box_that_all_measurements_refute_is_not_taken(monkeypatch: pytest.Mon
     assert sightings.supported_motion(coarse, (N, N), (), (large,), whole).motion is None
 
 
+@pytest.mark.thorough
 def test_the_board_itself_is_not_refuted() -> None:
     record = frame()
     tight = sightings.Sighting(TIGHT, PLANE, 0.15)

@@ -90,6 +90,7 @@ def test_a_run_writes_the_same_with_and_without(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.thorough
 def test_a_run_tells_the_camera_error_of_the_helper(tmp_path: Path) -> None:
     """A reconstruction that fails, which only the helper calls."""
     own = tmp_path / "own.py"

@@ -123,6 +123,7 @@ def measured(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
 # What is measured.
 
 
+@pytest.mark.thorough
 def test_more_paths_less_error(measured: tuple[Trade, Path]) -> None:
     """64 times the paths: direct light's error falls as n^-0.75, 23 times, all light's as n^-0.5,
     8 times, at least; by 4 anything else is wrong. (Over 20 seeds the least was 7.9, by one step
@@ -140,6 +141,7 @@ def test_more_paths_less_error(measured: tuple[Trade, Path]) -> None:
     assert reference.error == min(m.error for m in light.values())
 
 
+@pytest.mark.thorough
 def test_light_is_as_exact_as_was_asked(measured: tuple[Trade, Path]) -> None:
     """Root mean square over runs and cells, beside the error of the mean of four references: no
     more than the share of the noise asked for.
@@ -152,6 +154,7 @@ def test_light_is_as_exact_as_was_asked(measured: tuple[Trade, Path]) -> None:
             assert error < np.hypot(share, reference.over_noise / 2)
 
 
+@pytest.mark.thorough
 def test_errors_in_all_units_are_the_same_error(measured: tuple[Trade, Path]) -> None:
     """Electrons over the pixel's noise; watts through the responsivity that was asked for."""
     found, _ = measured
@@ -161,6 +164,7 @@ def test_errors_in_all_units_are_the_same_error(measured: tuple[Trade, Path]) ->
         assert per_watt == pytest.approx(0.95 * 80e-6 / 1.602176634e-19, rel=1e-9)
 
 
+@pytest.mark.thorough
 def test_the_reference_agrees_with_brute_force(measured: tuple[Trade, Path]) -> None:
     """Within 4 standard errors and 0.2 %, and no pattern of 8 beyond 6 of its own: 1e-3 false
     alarms in all. A transport 1 % too bright, or mirrored, is found.
@@ -230,6 +234,7 @@ def test_noise_levels_are_as_far_from_poisson_as_they_should_be() -> None:
     assert np.trapezoid(np.abs(polygon["gaussian"] - polygon["full"]), fine) > 0.14
 
 
+@pytest.mark.thorough
 def test_without_noise_the_distribution_is_missed_altogether(measured: tuple[Trade, Path]) -> None:
     """Mean distance of a normal number from its mean: sqrt(2 / pi) sigma, less a quarter of the
     converter's step, which is spread over.
@@ -265,6 +270,7 @@ def test_a_missing_echo_is_as_far_above_noise_as_the_link_budget_says(small, mon
     assert bins.columns.tolist() == list(range(16))
 
 
+@pytest.mark.thorough
 def test_a_closer_tolerance_is_nearer_to_the_reference(measured: tuple[Trade, Path]) -> None:
     """On the yard; and what says nothing of the meshes is as far off as silence."""
     found = {(m.fidelity.radar, m.fidelity.radar_tolerance): m for m in measured[0].of("radar")}
@@ -275,6 +281,7 @@ def test_a_closer_tolerance_is_nearer_to_the_reference(measured: tuple[Trade, Pa
     assert found["targets", Fidelity().radar_tolerance].error > 0.5
 
 
+@pytest.mark.thorough
 def test_errors_are_named_body_by_body(measured: tuple[Trade, Path]) -> None:
     """Within 40 dB of the strongest, each with what it was compared with; what is off by more than
     its tolerance is named. Weighted by their power, errors of bodies are that of their sum, as far
@@ -378,6 +385,7 @@ def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> No
 # What is written.
 
 
+@pytest.mark.thorough
 def test_a_trade_writes_data_and_says_what_to_take(measured: tuple[Trade, Path]) -> None:
     found, out = measured
     assert {p.name for p in out.iterdir()} == {"trade.json", "trade.csv", "trade.md", "trade.png"}
@@ -398,6 +406,7 @@ def test_a_trade_writes_data_and_says_what_to_take(measured: tuple[Trade, Path])
     assert {line.count("|") for line in tables} == {6, 7}
 
 
+@pytest.mark.thorough
 def test_the_choice_joins_the_models(measured: tuple[Trade, Path]) -> None:
     found, _ = measured
     light, noise, radar = (
