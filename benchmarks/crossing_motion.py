@@ -51,11 +51,11 @@ def main(n_frames: int, seed: int) -> None:
         begin_s, end_ns = number * frame_s, round(1e9 * (number + 1) * frame_s)
         while events and events[0].end_ns <= end_ns:
             event = events.pop(0)
-            record = bursts(event.number, event.begin_ns)
-            time_ns, pose = int(record.device_time_ns[0].flat[0]), record.pose[0]
+            record = bursts(event.number)
             for frame in frames(record, None):
-                confirmed = tracks.update("/radar", frame.detections, time_ns, pose)
-                motion.burst("/radar", event.begin_ns, pose, confirmed)
+                pose, middle_ns = record.pose[0], frame.middle_ns
+                confirmed = tracks.update("/radar", frame.detections, middle_ns, pose)
+                motion.burst("/radar", middle_ns, pose, confirmed)
         moving = capture(scene.after(begin_s), system, seed=seed_of(seed, 0, number))
         middle = scene.after(begin_s + frame_s / 2)
         rest = capture(middle, system, seed=seed_of(seed, 2, number), fidelity=still)

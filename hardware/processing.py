@@ -86,7 +86,7 @@ def _image(
     if calibration:
         cells = calibration.reflectance(cells, record, calibration.target.distance_m)
         unit = "reflectance"
-    stamp = stamp_ns(received)
+    stamp = _frame_ns(received)
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
     return RecordSummary(
@@ -140,17 +140,17 @@ def _detections(
     warnings: list[str] = []
     for frame in frames(record, how):
         detections = calibrated(frame, record, calibration)
-        stamp = stamp_ns(received, frame.burst)
+        stamp = _burst_ns(received, record, frame.middle_ns)
         points = ros.points(cloud(detections), stamp, sensor.strip("/"))
         log.message(f"{sensor}/detections", ros.POINTS, points, received.host_ns, stamp)
         ranged = bool(detections) and not np.isnan(detections[0].range_m)
         strongest = f", the strongest at {si(detections[0].range_m, 'm', 4)}" if ranged else ""
         followed = ""
         if tracks:
-            time_ns = int(record.device_time_ns[frame.burst].flat[0])
-            confirmed = tracks.update(sensor, detections, time_ns, record.pose[frame.burst])
+            pose = record.pose[frame.burst]
+            confirmed = tracks.update(sensor, detections, frame.middle_ns, pose)
             if follows:
-                follows.burst(sensor, stamp, record.pose[frame.burst], confirmed)
+                follows.burst(sensor, stamp, pose, confirmed)
             points = ros.points(track_cloud(confirmed), stamp, "world")
             log.message(f"{sensor}/tracks", ros.POINTS, points, received.host_ns, stamp)
             followed = f", {counted(len(confirmed), 'track')}"
@@ -211,12 +211,20 @@ def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:
     return place | columns
 
 
-def stamp_ns(received: Received, burst: int = 0) -> int:
-    """Time of a record, or of a radar's burst, on the host's clock: the device's where its clock
-    is known; else when it came, bursts of one record as long before its last as they were.
+def _frame_ns(received: Received) -> int:
+    """Time of a camera's record on the host's clock: that of its first exposure where the device's
+    clock is known, else when it came.
     """
-    times = received.record.device_time_ns
-    first, last = (int(times[k].reshape(-1)[0]) for k in (burst, -1))
     if received.clock:
-        return received.clock.host_ns(first)
-    return received.host_ns - (last - first if isinstance(received.record, RadarRecord) else 0)
+        return received.clock.host_ns(int(received.record.device_time_ns.flat[0]))
+    return received.host_ns
+
+
+def _burst_ns(received: Received, record: RadarRecord, middle_ns: int) -> int:
+    """A burst's middle on the host's clock; where the device's is not known, as long before the
+    record came as before its end.
+    """
+    if received.clock:
+        return received.clock.host_ns(middle_ns)
+    end_ns = int(record.device_time_ns[-1, -1, -1]) + round(1e9 * record.waveform.slot_period_s)
+    return received.host_ns + middle_ns - end_ns

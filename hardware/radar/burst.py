@@ -48,6 +48,8 @@ class DemodulatedBurst:
         that is uneven, has the ratios of its receivers. None where there was none.
     whole
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
+    middle_ns
+        Device clock in the middle of the slots, from which ``waveform`` counts their times.
     """
 
     channel: Complex
@@ -57,6 +59,7 @@ class DemodulatedBurst:
     receiver_m: Array
     whole: bool
     warnings: tuple[str, ...]
+    middle_ns: int
     relative_noise: Array | None = None
     leakage: Complex | None = None
 
@@ -152,6 +155,7 @@ def demodulate(
         receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
         warnings=(*part.warnings, *leakage_warnings),
+        middle_ns=record.middle_ns(burst, part.n_steps, int(schedule.max()) + 1),
         relative_noise=relative_noise,
         leakage=None if mode is None else mode.ravel(),
     )

@@ -90,11 +90,14 @@ class Processing:
 class Frame:
     """Result of one burst: detections, strongest first, the map, and warnings.
 
+    ``middle_ns``: device clock in the middle of what was processed, when targets are where they are
+    told.
     ``clutter``: deviation of the map from noise, which thresholds assume unless `Cfar` has a shape.
     ``detection``: name of a user's own detection, with a digest of its source.
     """
 
     burst: int
+    middle_ns: int
     detections: tuple[Detection, ...]
     image: RangeDopplerMap
     waveform: OfdmWaveform
@@ -179,6 +182,7 @@ def process(
         points = points[: how.at_most]
     return Frame(
         burst=burst,
+        middle_ns=interval.middle_ns,
         detections=tuple(
             with_cross_section(
                 point,

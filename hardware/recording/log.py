@@ -96,9 +96,10 @@ class Log:
         clock: ClockModel | None = None,
         frame: str | None = None,
     ) -> None:
-        """Append a record and the pose in it.
+        """Append a record and the poses in it.
 
-        Its publish time is the device's time on the host's clock where ``clock`` is known.
+        Its publish time is the device's time on the host's clock where ``clock`` is known; that of
+        a radar's pose is its burst's middle.
         """
         host_ns = time.time_ns() if host_ns is None else host_ns
         frame = frame or topic.strip("/").split("/")[0]
@@ -110,10 +111,15 @@ class Log:
         child = kind.pose_of or frame
         if child in self._extrinsics:  # the rig's pose says it all
             return
-        poses = (record.pose,) if isinstance(record, SpiRecord) else record.pose
-        for pose in poses:
-            moved = ros.transform(pose, stamp, "world", child)
-            self.message("/tf", ros.TRANSFORMS, moved, host_ns, stamp)
+        if isinstance(record, SpiRecord):
+            poses = [(record.pose, stamp)]
+        else:
+            middles = map(record.middle_ns, range(len(record.pose)))
+            stamps = [clock.host_ns(ns) if clock else host_ns for ns in middles]
+            poses = list(zip(record.pose, stamps, strict=True))
+        for pose, at_ns in poses:
+            moved = ros.transform(pose, at_ns, "world", child)
+            self.message("/tf", ros.TRANSFORMS, moved, host_ns, at_ns)
 
     def message(
         self, topic: str, definition: Definition, message: bytes, log_ns: int, publish_ns: int

@@ -37,7 +37,7 @@ class RadarRecord:
     device
         Identification, as the device reports it.
     pose
-        Antenna in the world at each burst, n_bursts of them.
+        Antenna in the world in the middle of each burst, n_bursts of them.
     """
 
     iq: NDArray[np.int16]
@@ -86,6 +86,14 @@ class RadarRecord:
         counts = self.iq.astype(np.float64) * self.front_end.root_watt_per_count
         return counts[..., 0] + 1j * counts[..., 1]
 
+    def middle_ns(self, burst: int, n_steps: int | None = None, n_slots: int | None = None) -> int:
+        """Device clock in the middle of a burst, or of its first slots in its first steps: what is
+        measured of ranges and rates is that of then.
+        """
+        times = self.device_time_ns[burst, :n_steps, :n_slots]
+        slot_ns = round(1e9 * self.waveform.slot_period_s)
+        return (int(times[0, 0]) + int(times[-1, -1]) + slot_ns) // 2
+
 
 def _poses(rows: NDArray[np.float64]) -> tuple[QuaternionPose, ...]:
     return tuple(map(QuaternionPose.from_numbers, rows.tolist()))
@@ -113,7 +121,7 @@ LAYOUT = container.Layout(
         "transmitter": (np.uint8, "which transmitter sends in each slot"),
         "transmitters_m": (np.float64, "phase centres: x ahead, y left, z up, m"),
         "receivers_m": (np.float64, "phase centres: x ahead, y left, z up, m"),
-        "pose": (np.float64, "antenna in the world at each burst: x y z (m), quaternion w x y z"),
+        "pose": (np.float64, "antenna in the world, mid-burst: x y z (m), quaternion w x y z"),
     },
     added={"digest": 3, "own_symbols": 3}
     | dict.fromkeys(

@@ -199,8 +199,8 @@ def test_errors_are_one_line_and_leave_no_log(
 
 
 def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
-    """Two bursts, 0.5 m farther along each time: two clouds, stamped with their first slots' times
-    on the host's clock, a target at 6.0 and 5.5 m.
+    """Two bursts, 0.5 m farther along each time: two clouds, stamped with the times of their
+    middles on the host's clock, a target at 6.0 and 5.5 m.
     """
     pose = np.array([[0, 0, 0, 1, 0, 0, 0], [0.5, 0, 0, 1, 0, 0, 0.0]])
     made = cube(WIDE, [Echo((6.0, 0.0, 0.0))], pose=pose, noise_w=1e-10)
@@ -211,8 +211,9 @@ def test_each_burst_becomes_a_cloud_of_its_own_time(tmp_path: Path) -> None:
     assert "burst 0: 1 detections, the strongest at 6.0" in done.stdout
     assert "burst 1: 1 detections, the strongest at 5.5" in done.stdout
     clouds = [one.message for one in read_messages(tmp_path / "out.mcap")]
-    begun = made.device_time_ns[:, 0, 0] + 10**9
-    assert [one.publish_time for one in clouds] == begun.tolist()
+    half_ns = round(1e9 * made.waveform.n_slots * made.waveform.slot_period_s / 2)
+    middles = made.device_time_ns[:, 0, 0] + 10**9 + half_ns
+    assert [one.publish_time for one in clouds] == middles.tolist()
 
 
 @pytest.mark.library("sigmf")

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from hardware.errors import InputError
 from hardware.files import hold
 from hardware.processing import process
+from hardware.radar.process import frames
 from hardware.recording import Log, read_messages, read_records
 from hardware.records import RadarRecord, SpiRecord
 from twin.camera.mounting import devices
@@ -32,7 +33,7 @@ from twin.drive.truth_samples import TruthSamples
 from twin.fidelity import Fidelity
 from twin.motion.trajectory import through
 from twin.radar import load_radar
-from twin.scene import Scene, load_scene
+from twin.scene import Scene, Target, load_scene
 from twin.scene.boxes import boxes_of
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import load_system
@@ -310,6 +311,45 @@ def test_truth_beside_the_records(whole: Path) -> None:
         expected = render_truth(mitsuba_scene(here), emitter, CAMERA.image_shape).depth_m
         seen = np.frombuffer(message[-4 * 64 :], "<f4").reshape(8, 8)
         np.testing.assert_allclose(seen, expected, rtol=1e-5)
+
+
+def antenna_m(scene: Scene) -> np.ndarray:
+    """Place of the radar in the world."""
+    return np.asarray(scene.rig.position_m) + scene.rig.device("radar")[0]
+
+
+def test_a_target_is_where_the_truth_of_the_same_time_has_it(tmp_path: Path) -> None:
+    """Detections, truth and pose of a burst are those of its middle, and stamped with it. By its
+    beginning, 5 ms before, the target is 50 mm off.
+    """
+    at_m = antenna_m(driven_scene()) + [20.0, 0.0, 0.0]
+    car = Target("car", tuple(at_m.tolist()), (15.0, 0, 0), 1e4, "of this test")
+    scene = replace(driven_scene(), objects=(), targets=(car,))
+    of = plan(
+        scene=scene, system=None, radar=load_radar("hybrid-79"), duration_s=0.6, radar_period_s=0.3,
+        fidelity=replace(FAST, noise="none"),
+    )  # fmt: skip
+    log, out = tmp_path / "run.mcap", tmp_path / "out.mcap"
+    drive(of, log)
+    bursts = list(read_records(log))
+    assert len(bursts) == 2
+    with Log(out) as processed:
+        for received in bursts:
+            process(received, processed)
+    topics: dict[str, list[int]] = {}
+    for path in (log, out):
+        for logged in read_messages(path):
+            topics.setdefault(logged.topic, []).append(logged.message.publish_time)
+    for received in bursts:
+        (frame,) = frames(received.record)
+        middle_ns = received.clock.host_ns(frame.middle_ns)
+        for topic in ("/truth/objects", "/tf", "/radar/detections"):
+            assert min(abs(stamp - middle_ns) for stamp in topics[topic]) <= 1, topic
+        then = scene.after(1e-9 * middle_ns)
+        here_m = antenna_m(then)
+        np.testing.assert_allclose(received.record.pose[0].position_m, here_m, atol=1e-6)
+        range_m = np.linalg.norm(np.array(then.targets[0].position_m) - here_m)
+        assert frame.detections[0].range_m == pytest.approx(range_m, abs=2e-3)
 
 
 def test_states_at_many_times_are_those_of_the_scene_at_each() -> None:

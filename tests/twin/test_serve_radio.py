@@ -471,7 +471,7 @@ def test_sweeps_traced_together_depend_on_their_number_alone(scene) -> None:
     for number in (2, 3, 0, 1):
         assert np.array_equal(at_random(number).record.iq, records[number].iq)
     for number in (0, 3):
-        world = scene.after(number * design.burst_s)
+        world = scene.after(number * design.burst_s + design.middle_s)
         expected = radar_capture(world, design, seed=SEED + number, fidelity=fidelity).record
         assert np.array_equal(records[number].iq, expected.iq)
     with pytest.raises(InputError, match="reuse: 0 sweeps traced together, expected at least 1"):

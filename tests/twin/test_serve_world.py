@@ -42,7 +42,9 @@ def radio_in(scene: Scene, world: SharedWorld | None, pace="fast") -> VirtualRad
 
 
 def test_a_radio_that_begins_later_shows_what_the_world_is_like_by_then(scene: Scene) -> None:
-    """The camera has come to 0.8 s: sweep k is, bit for bit, that of 0.8 s and k sweeps later."""
+    """The camera has come to 0.8 s: sweep k is, bit for bit, that of 0.8 s and k sweeps
+    and half a burst later.
+    """
     world = SharedWorld("fast")
     assert world.begin() == 0.0
     world.reached(0.8)
@@ -50,7 +52,7 @@ def test_a_radio_that_begins_later_shows_what_the_world_is_like_by_then(scene: S
     record = acquire(radio, radio.schedule, radio.front_end, bursts=3)
     design, lasts_s = small(), radio.schedule.sweep_s
     for sweep in range(3):
-        then = scene.after(0.8).after(sweep * lasts_s)
+        then = scene.after(0.8).after(sweep * lasts_s + design.middle_s)
         expected = radar_capture(then, design, seed=SEED + sweep, fidelity=QUICK).record
         np.testing.assert_array_equal(record.iq[sweep], expected.iq[0])
     assert world.now_s() == pytest.approx(0.8 + 2 * lasts_s)

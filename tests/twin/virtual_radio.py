@@ -37,8 +37,8 @@ def small(**changes: float) -> RadarDesign:
 
 
 def direct(scene, design: RadarDesign, sweep: int) -> RadarRecord:
-    """What the twin records of a sweep by itself: everything has moved on by so many bursts."""
-    world = scene.after(sweep * design.burst_s)
+    """What the twin records of a sweep by itself, of the middle of its burst."""
+    world = scene.after(sweep * design.burst_s + design.middle_s)
     return radar_capture(world, design, seed=SEED + sweep, fidelity=QUICK).record
 
 

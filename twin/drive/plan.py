@@ -121,6 +121,12 @@ class Drive:
             at_ns = self.truth_ns(number)
             yield Event(at_ns, 2, "truth", number, at_ns)
 
+    def burst_ns(self, number: int) -> int:
+        """Time of the middle of a radar's burst, when the world is what it measures."""
+        assert self.radar is not None
+        since_s = number * self.radar_period_s + self.radar.middle_s
+        return self.radar_clock.reference_ns(round(1e9 * since_s))
+
     def truth_ns(self, number: int) -> int:
         """Time of a sample of the objects' states."""
         return round(number * 1e9 * self.truth_period_s)

@@ -131,11 +131,11 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
         states(log, ObjectStates.at(plan.scene, 1e-9 * np.array(at_ns)), at_ns, event.end_ns)
 
     def burst(log: Log, event: Event) -> None:
-        record = radar(event.number, event.begin_ns)
+        record, middle_ns = radar(event.number), plan.burst_ns(event.number)
         model = plan.radar_clock.model
         log.record("/radar/record", record, host_ns=event.end_ns, clock=model)
-        found = ObjectStates.at(plan.scene, 1e-9 * np.array([event.begin_ns]))
-        states(log, found, [event.begin_ns], event.end_ns)
+        found = ObjectStates.at(plan.scene, 1e-9 * np.array([middle_ns]))
+        states(log, found, [middle_ns], event.end_ns)
 
     def write(event: Event) -> Callable[[Log], None]:
         if event.kind == "camera":

@@ -69,21 +69,21 @@ class RadarBursts:
 
     _still: RadarEcho | None
 
-    def __call__(self, number: int, begin_ns: int) -> RadarRecord:
-        """Burst ``number``, which begins at a time of the reference, in device time."""
+    def __call__(self, number: int) -> RadarRecord:
+        """Burst ``number``, in device time; its pose is that of its middle."""
         drive, seed = self._drive, seed_of(self._drive.seed, 1, number)
-        record = self._echo(begin_ns, seed).record()
+        record = self._echo(drive.burst_ns(number), seed).record()
         begin = drive.radar_clock.after_start(round(number * 1e9 * drive.radar_period_s))
         return replace(record, device_time_ns=record.device_time_ns + begin)
 
-    def _echo(self, begin_ns: int, seed: int) -> RadarEcho:
+    def _echo(self, middle_ns: int, seed: int) -> RadarEcho:
         drive = self._drive
         assert drive.radar is not None
         if self._still is not None and (again := self._still.reseeded(seed)) is not None:
             return again
         weather = drive.system.weather if drive.system else None
         echo = radar_echo(
-            replace(drive.scene, track=None).after(1e-9 * begin_ns),
+            replace(drive.scene, track=None).after(1e-9 * middle_ns),
             drive.radar,
             seed=seed,
             fidelity=drive.fidelity,

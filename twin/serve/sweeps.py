@@ -21,8 +21,9 @@ class RadarSweep:
 class RadarSweeps:
     """Sweep k of a radar, with ``seed`` plus k.
 
-    From one sweep to the next all objects move on by ``period_s``, and the rig to the next
-    stop of the scene's track, where it has one. A scene at rest is not traced again, if that gives
+    The first begins now: as in `radar_capture` the scene is that of its middle. From one sweep to
+    the next all objects move on by ``period_s``, and the rig to the next stop of the scene's track,
+    where it has one. A scene at rest is not traced again, if that gives
     the same bits.
 
     Parameters
@@ -93,7 +94,7 @@ class RadarSweeps:
         self, number: int, earlier: Propagation | None = None, *, keep: bool = False
     ) -> RadarEcho:
         return radar_echo(
-            self._scene.after(number * self._period_s),
+            self._scene.after(number * self._period_s + self._radar.middle_s),
             self._radar,
             seed=self._seed + number,
             fidelity=self._fidelity,

@@ -117,6 +117,11 @@ class RadarDesign(Entry):
         return float(steps[-1] - steps[0]) + duration
 
     @property
+    def middle_s(self) -> float:
+        """From the first slot of a burst to its middle, when the scene is as it is given."""
+        return self.ofdm.n_slots * self.ofdm.slot_period_s / 2 - float(self.burst.step_times_s[0])
+
+    @property
     def total_bandwidth_hz(self) -> float:
         """From the lowest subcarrier of all steps to the highest."""
         carriers = self.burst.carriers_hz
