@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.motion import RigidMotions, lengthening, radar_motion
-from twin.scene import Scene, SceneObject
+from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
 
@@ -21,19 +21,20 @@ OVER_ANGLE = 1.5
 @dataclass(frozen=True)
 class Change:
     """What leaving motion within an interval to one instant does to the echo of an object, relative
-    to it: by the phase beyond second order, and by the angle it turns; and what was found to
-    change: its direct echo, or, at most, all reflections between its parts.
+    to it: by the phase beyond second order, by its level, and by the angle it turns; and what was
+    found to change: its direct echo, or, at most, all reflections between its parts.
     """
 
     name: str
     bend_rad: float
+    fades: float
     turned_rad: float
     changed: float = 0.0
 
     @property
     def error(self) -> float:
-        """Phase and angle together, or what was found to change."""
-        return max(self.bend_rad + OVER_ANGLE * self.turned_rad, self.changed)
+        """Phase, level and angle together, or what was found to change."""
+        return max(self.bend_rad + self.fades + OVER_ANGLE * self.turned_rad, self.changed)
 
 
 def times_within(scene: Scene, times_s: NDArray[np.floating]) -> Array:
@@ -43,10 +44,17 @@ def times_within(scene: Scene, times_s: NDArray[np.floating]) -> Array:
 
 
 def largest_change(scene: Scene, radar: RadarDesign, times_s: Array) -> Change | None:
-    """The largest change within an interval; None where nothing moves."""
+    """The largest change within an interval, of an object or a declared target; None where nothing
+    moves.
+    """
     items = [item for item in scene.objects if item.moves or scene.rig.moves]
     changes = [
         _change_of(scene, item, radar, times_s) for item in items if len(item.geometry.faces)
+    ]
+    changes += [
+        _change_of_target(scene, target, radar, times_s)
+        for target in scene.targets
+        if target.object is None and (any(target.velocity_m_per_s) or scene.rig.moves)
     ]
     return max(changes, key=lambda change: change.error, default=None)
 
@@ -58,22 +66,58 @@ def _change_of(scene: Scene, item: SceneObject, radar: RadarDesign, times_s: Arr
     own, rig = item.course.at(times_s), scene.rig.course.at(times_s)
     low, high = item.geometry.vertices_m.min(axis=0), item.geometry.vertices_m.max(axis=0)
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-    here = scene.rig.position_m + scene.rig.device("radar")[0]
-    mounted = scene.rig.pose.rotation.inv().apply(here - scene.rig.position_m)
-    exact = np.linalg.norm(own.of_points(corners)[0] - rig.of_points(mounted[None])[0], axis=2)
-    places = item.pose.apply(corners) - here
-    length = np.linalg.norm(places, axis=1)
-    moving, radar_moves = RigidMotions.of([item], here).at(0, places), radar_motion(scene)
-    rate, faster = lengthening(
-        moving[0] - radar_moves.velocity_m_per_s,
-        places / np.maximum(length, 1e-12)[:, None],
-        length,
-        moving[1] - radar_moves.acceleration_m_per_s2,
-    )
-    parabola = length + (rate + faster / 2 * times_s[:, None]) * times_s[:, None]
-    bend = float(np.abs(exact - parabola).max())
+    places = item.pose.apply(corners) - _antenna_m(scene)
+    motion = RigidMotions.of([item], _antenna_m(scene)).at(0, places)
+    way = _along_ways(scene, radar, times_s, own.of_points(corners)[0], places, motion)
     turned = [
         (state.pose.rotation * now.rotation.inv()).magnitude().max()
         for state, now in ((own, item.pose), (rig, scene.rig.pose))
     ]
-    return Change(item.name, 4 * np.pi * bend / radar.ofdm.wavelength_m, float(sum(turned)))
+    return Change(item.name, *way, float(sum(turned)))
+
+
+def _change_of_target(scene: Scene, target: Target, radar: RadarDesign, times_s: Array) -> Change:
+    """Of the way to a target of its own velocity and back: it is a point."""
+    velocity = np.asarray(target.velocity_m_per_s)
+    place = np.asarray(target.position_m)
+    exact = (place + times_s[:, None] * velocity)[:, None]
+    motion = velocity, np.zeros(3)
+    places = (place - _antenna_m(scene))[None]
+    return Change(target.name, *_along_ways(scene, radar, times_s, exact, places, motion), 0.0)
+
+
+def _along_ways(
+    scene: Scene,
+    radar: RadarDesign,
+    times_s: Array,
+    exact_m: Array,
+    places_m: Array,
+    motion: tuple[Array, Array],
+) -> tuple[float, float]:
+    """Of ways from the radar to points and back: phase beyond second order in time; and what levels
+    change by, since the way grows and a slot's average takes more of a faster one. By the places of
+    the points at all times (n_times, n, 3), from the radar now (n, 3), and their velocity and
+    acceleration.
+    """
+    here, rig = _antenna_m(scene), scene.rig.course.at(times_s)
+    mounted = scene.rig.pose.rotation.inv().apply(here - scene.rig.position_m)
+    exact = np.linalg.norm(exact_m - rig.of_points(mounted[None])[0], axis=2)
+    length, radar_moves = np.linalg.norm(places_m, axis=1), radar_motion(scene)
+    rate, faster = lengthening(
+        motion[0] - radar_moves.velocity_m_per_s,
+        places_m / np.maximum(length, 1e-12)[:, None],
+        length,
+        motion[1] - radar_moves.acceleration_m_per_s2,
+    )
+    since_s = times_s[:, None]
+    bend_m = float(np.abs(exact - length - (rate + faster / 2 * since_s) * since_s).max())
+    doppler_hz = 2 * np.stack([rate + 0 * since_s, rate + faster * since_s])
+    kept = np.abs(radar.ofdm.slot_gain(doppler_hz / radar.ofdm.wavelength_m))
+    averaged = np.abs(kept[1] - kept[0]) / kept.max(axis=(0, 1))
+    spread = np.abs((length / np.maximum(exact, 1e-12)) ** 2 - 1)
+    return 4 * np.pi * bend_m / radar.ofdm.wavelength_m, float((averaged + spread).max())
+
+
+def _antenna_m(scene: Scene) -> Array:
+    """The radar in the world."""
+    return np.asarray(scene.rig.position_m + scene.rig.device("radar")[0])
