@@ -1,9 +1,12 @@
 """Whole commands, as a user waits for them, and where their time goes."""
 
 import json
+import os
+import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +29,30 @@ def figures() -> Iterator[Figure]:
             "",
         )
         yield from run_figures(Path(folder))
+    for scene in ("table1", "yard"):
+        yield from first_image(scene)
+
+
+def first_image(scene: str) -> Iterator[Figure]:
+    """From the start of `twin run` to one camera's image and report, with an empty cache of
+    compiled kernels, which Dr.Jit keeps in the home folder, and then with the one that it left.
+    """
+    options = ("--radar", "none", "--compare", "none", "--out")
+    with tempfile.TemporaryDirectory() as home:
+        command = [sys.executable, "-m", "twin", "run", scene, *options, str(Path(home) / "out")]
+        for cache in ("an empty", "a filled"):
+            begin_s, wall_s = _of_children_s(), time.perf_counter()
+            environment = {**os.environ, "HOME": home}
+            subprocess.run(command, check=True, capture_output=True, env=environment)
+            label = f"twin run {scene}, one camera's image and report, {cache} cache of kernels"
+            yield label, time.perf_counter() - wall_s, "s"
+            yield f"{label}, processor time", _of_children_s() - begin_s, "s"
+
+
+def _of_children_s() -> float:
+    """Processor time of all processes that have ended."""
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
 
 
 def run_figures(folder: Path) -> Iterator[Figure]:

@@ -1,5 +1,6 @@
 """Frames of `scenes/crossing` in which the rig, a car and a person move: time, and counts against
-renders of single exposures anew; and what a frame costs in which nothing moves.
+renders of single exposures anew; what a frame costs in which nothing moves; and of `scenes/yard`,
+where a car does, what each accuracy costs with its motion and without.
 """
 
 import time
@@ -18,7 +19,7 @@ from twin.camera.light import render, render_light
 from twin.camera.mounting import light_problem
 from twin.camera.moving_frame import frame_light, world_in_motion
 from twin.camera.truth import Truth, depths
-from twin.fidelity import DEFAULT, Fidelity
+from twin.fidelity import DEFAULT, PRESETS, Fidelity
 from twin.optics.paths import TracingQuality
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
@@ -36,6 +37,8 @@ _ACCURACIES = {
     "a tenth of the noise": Fidelity(light_tolerance=0.03, motion_tolerance=0.03),
 }
 _RUNS = 3
+#: `--fidelity` of each, and the default.
+_LEVELS = {**PRESETS, "default": DEFAULT}
 
 
 def figures() -> Iterator[Figure]:
@@ -43,6 +46,7 @@ def figures() -> Iterator[Figure]:
     cores together.
     """
     yield from _at_rest()
+    yield from moving_yard()
     scene = load_scene("crossing")
     for name, fidelity in _ACCURACIES.items():
         for n_patterns in (4096, 128):
@@ -77,6 +81,17 @@ def _at_rest() -> Iterator[Figure]:
     one, other = (capture(scene, system, seed=1, fidelity=f) for f in (DEFAULT, off))
     same = np.array_equal(one.record.counts, other.record.counts)
     yield "at rest, counts that differ", float(not same), ""
+
+
+def moving_yard() -> Iterator[Figure]:
+    """`twin.capture` of the yard, as README.md tells it."""
+    scene, system = load_scene("yard"), load_system("workable")
+    for name in ("draft", "standard", "default", "reference"):
+        followed = _LEVELS[name]
+        still = replace(followed, motion_tolerance=None)
+        for kind, fidelity in (("car taken as still", still), ("car moves", followed)):
+            took = _cpu_s(lambda f=fidelity: capture(scene, system, seed=1, fidelity=f))
+            yield f"capture of the yard, {name}, {kind}", took, "s of CPU"
 
 
 def _anew(scene: Scene, system: System, which: NDArray[np.int64]) -> Array:

@@ -1,13 +1,15 @@
-"""Frames of both sensors in a stream of the yard, up to the vehicle's image and detections."""
+"""Frames of both sensors in a stream of the yard, up to the vehicle's image and detections; while
+its car moves also as by default, when light is followed within each frame.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from benchmarks.timing import Figure, Timing, timed
+from benchmarks.timing import Figure, Timing, processor_time, timed
 from hardware import process, reconstruct
-from twin.camera.stream import frames, stills
+from twin.camera.stream import MovingFrames, frames, stills
 from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.scene import Pose, Scene, load_scene
@@ -29,6 +31,12 @@ def figures() -> Iterator[Figure]:
     for name, fidelity in _CAMERAS.items():
         moved = frames(scene, system, _moved(scene), fidelity=fidelity)
         yield from _camera(f"moving rig, {name}", lambda moved=moved: reconstruct(next(moved)))
+    following, frame = MovingFrames(scene, system), count()
+
+    def followed() -> Any:
+        return reconstruct(following(next(frame)))
+
+    yield from _camera("car moves within each frame, default", followed, runs=5)
     for name, world, reuse in (
         ("all at rest", _at_rest(scene), 1),
         ("car moves", scene, 1),
@@ -45,12 +53,21 @@ def figures() -> Iterator[Figure]:
 
         yield f"radar, {name}: burst to detections", timed(detections, runs=5), ""
         yield f"both sensors, rig and light at rest, {name}: a frame", timed(hybrid, runs=5), ""
+    bursts, burst = RadarSweeps(scene, load_radar("hybrid-79"), 0, reuse=1), count()
+
+    def by_default() -> None:
+        followed()
+        process(bursts.record(next(burst)))
+
+    yield "both sensors, car moves, by default: a frame", timed(by_default, runs=5), ""
 
 
-def _camera(name: str, frame: Callable[[], Any]) -> Iterator[Figure]:
-    took: Timing = timed(frame, runs=25, warm_up=3)
+def _camera(name: str, frame: Callable[[], Any], runs: int = 25) -> Iterator[Figure]:
+    took: Timing = timed(frame, runs=runs, warm_up=3)
     yield f"camera, {name}: record to image", took, ""
     yield f"camera, {name}: frames per second", 1 / took.median_s, "1/s"
+    processor_s, _ = processor_time(frame)
+    yield f"camera, {name}: record to image, processor time", processor_s, "s"
 
 
 def _moved(scene: Scene) -> Iterator[Pose]:

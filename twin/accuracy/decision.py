@@ -1,6 +1,7 @@
 """An effect that a model takes or leaves out, with the bound that decided."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hardware.formatting import number, si
@@ -48,3 +49,29 @@ class Decision:
             f"{self.sensor}: {self.effect}: at most {number(self.bound, 2)} {self.unit}, "
             f"{number(self.permitted, 2)} permitted: {'taken' if self.taken else 'left out'}{took}"
         )
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether it is left out although it may change more than is permitted."""
+        return not self.taken and self.bound > self.permitted
+
+
+def missed_effects(decisions: Iterable[Decision]) -> list[str]:
+    """Sentences on effects that are left out although they may change more than is permitted, each
+    where its bound is largest.
+
+    >>> indirect = Decision("camera", "indirect light", 0.3, 0.02, "of a pixel's noise", False)
+    >>> missed_effects([indirect])
+    ["indirect light: not computed; at most 0.3 of a pixel's noise, where 0.02 is permitted"]
+    """
+    worst: dict[str, Decision] = {}
+    for decision in decisions:
+        if decision.is_missed:
+            known = worst.setdefault(decision.effect, decision)
+            if decision.bound > known.bound:
+                worst[decision.effect] = decision
+    return [
+        f"{decision.effect}: not computed; at most {decision.bound:.2g} {decision.unit}, where "
+        f"{decision.permitted:.2g} is permitted"
+        for decision in worst.values()
+    ]

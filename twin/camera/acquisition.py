@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.records import SpiRecord
-from twin.accuracy import Decision
+from twin.accuracy import Decision, missed_effects
 from twin.camera import light
 from twin.camera.assumptions import assumptions
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
@@ -241,12 +241,14 @@ def measure(
         *warnings_of_record(record, distortion.clipping, image_noise_e, own),
         *lag_warnings(distortion.lag, image_noise_e, lag_shares(system)),
     )
+    decisions = (*rendered.decisions, *((frame.decision,) if frame else ()))
     warnings = (
         *record_warnings,
         *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
         *design_warnings(system, chain.lens, budget, float(sky.emitter.max()), scene_e, depth_m),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
+        *(CaptureWarning("tolerance", text) for text in missed_effects(decisions)),
         *(frame.warnings if frame else frozen_warnings(scene, chain, rendered)),
     )
     return Capture(
@@ -266,7 +268,7 @@ def measure(
         assumptions=assumptions(scene, system, moves=frame is not None, detector=own),
         warnings=warnings,
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
-        decisions=(*rendered.decisions, *((frame.decision,) if frame else ())),
+        decisions=decisions,
         range_error=range_error,
         model_error=replace(
             model_error(chain, power, signal_w), scatter=frame.sun_scatter if frame else 0.0

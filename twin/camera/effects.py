@@ -77,6 +77,8 @@ def decisions_on_effects(
             found.append(on_light(effect, from_surfaces * grown))
         found.append(on_light("veil of light that the air scatters back", veil, cost_s=air_cost_s))
         effect = "light that the air scatters into other cells"
+        if fidelity.air_orders == 0:
+            effect += " (fidelity.air_orders = 0)"
         found.append(Decision("camera", effect, depth, THIN, _OF_LIGHT, scatters))
     return (*found, *_on_blur(problem))
 

@@ -117,16 +117,19 @@ def _uncertain(
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     samples, max_depth = float(fidelity.samples), float(fidelity.max_depth)
-    if fidelity.has_light_tolerance:
+    nearest_m, scattering = float(truth.depth_m.min()), []
+    if fidelity.has_light_tolerance:  # a decision tells of light that the air scatters
         # Of one bucket no bounce is lost, and what paths miss is in the stated error.
         one_bucket = rendered.paths is None and len(light.cells) == 1
         samples, max_depth = (math.inf, math.inf) if one_bucket else (FIRST_SAMPLES, max_depth)
+    else:
+        scattering = forward_scattering_warnings(problem.air, nearest_m, fidelity.air_orders)
     return (
         *undersampling_warnings(scene, emitter, image.size * samples),
         *grazing_warnings(image, cosines),
         *near_pupil_warnings(image, cosines, truth.depth_m, emitter, rendered.detector),
         *truncation_warnings(light.indirect_share, truth.albedo, max_depth),
-        *forward_scattering_warnings(problem.air, float(truth.depth_m.min()), fidelity.air_orders),
+        *scattering,
     )
 
 

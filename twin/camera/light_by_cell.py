@@ -27,6 +27,7 @@ from twin.optics.light_over_time import light_over_time
 from twin.optics.path_drawing import Effort, Part
 from twin.optics.paths import SunLight
 from twin.optics.problem import LightProblem
+from twin.optics.tracer import Tracer
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -78,7 +79,7 @@ def light_by_cell(
         lambda at: replace(tracer, scene=world.scene_at(at)),
         parts,
         times,
-        changes if len(parts) == 1 else np.ones_like(changes),
+        changes,
         Effort(
             _limit(fidelity, noise, rendered) if fidelity.has_light_tolerance else fidelity.samples,
             tolerance / math.sqrt(2) * noise,
@@ -145,11 +146,9 @@ def _taken(rendered: RenderedLight, effect: str) -> bool:
 def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
     """Direct light, and indirect light whose paths end ``by_chance`` or after some bounces."""
     parts = [Part(lambda tracer, rays: tracer.direct(rays).value, 1.7)]
-    if indirect and by_chance:
-        further = Part(lambda tracer, rays: tracer.all_indirect(rays), 1.0, True, *_INDIRECT)
-        parts.append(further)
-    elif indirect:
-        parts.append(Part(lambda tracer, rays: tracer.indirect(rays), 1.0, True, *_INDIRECT))
+    if indirect:
+        trace = Tracer.all_indirect if by_chance else Tracer.indirect
+        parts.append(Part(trace, 1.0, True, *_INDIRECT, everywhere=True))
     return parts
 
 

@@ -26,8 +26,8 @@ ToleranceOption = Annotated[
     str | None,
     typer.Option(
         help="Error that the model may have: a share of the sensors' own noise (0.2), or an error "
-        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance (2 mm); several with "
-        "commas in between."
+        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance of the radar (2 mm); "
+        "several with commas in between."
     ),
 ]
 FidelityOption = Annotated[
@@ -98,6 +98,8 @@ def knobs_asked(
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
     if within is None:
         asked = None if tolerance is None else Tolerance.of(tolerance)
+        if asked is not None:
+            asked.check_sensors(camera=system is not None, radar=radar is not None)
         return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
     return knobs_within(say, load, system, radar, within)
 

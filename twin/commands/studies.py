@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.output import Output
-from hardware.commands.quantities import quantity_of
 from hardware.formatting import counted
 from twin.commands import console_of
 from twin.commands.arguments import (
@@ -255,10 +254,9 @@ def trade(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file.")] = "workable",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     tolerance: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            help="Error that counts as unseen, over the sensor's own noise; default 0.2.",
-            parser=quantity_of(None),
+            help="Error that counts as unseen, a share of the sensor's own noise; default 0.2."
         ),
     ] = None,
     within: WithinOption = None,
@@ -270,17 +268,23 @@ def trade(
 ) -> None:
     """Measure time, memory and error of every fidelity level on a scene, and choose one."""
     from twin.errors import InputError
-    from twin.fidelity import DEFAULT_SHARE
+    from twin.fidelity import Tolerance
     from twin.trade import run_trade
     from twin.trade.report import as_code, print_trade, trade_content
 
     if tolerance is not None and within is not None:
         raise InputError("--tolerance, --within: expected one of them")
+    asked = Tolerance() if tolerance is None else Tolerance.of(tolerance)
+    if asked != Tolerance(asked.noise_share):
+        raise InputError(
+            f"--tolerance: {tolerance!r:.60}: errors of all levels are measured over the sensors' "
+            "noise, expected a share of it (0.2)"
+        )
     found, folder = run_trade(
         scene,
         system,
         radar=None if radar == "none" else radar,
-        tolerance=DEFAULT_SHARE if tolerance is None else tolerance,
+        tolerance=asked.noise_share,
         within_s=within,
         seed=seed,
         out=out,

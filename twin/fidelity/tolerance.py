@@ -42,9 +42,9 @@ class Tolerance:
         Of the light of each cell, or of the cells' mean where that is more, in place of a share of
         the noise; 1e-5 to 1.
     distance_m
-        Of the distance of a body by its echo, in place of its share. An error of the echo that
-        grows linearly over the band moves it the most: relative to the echo e rms over a bandwidth
-        B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar.
+        Of the distance of a body by its radar echo, in place of its share. An error of the echo
+        that grows linearly over the band moves it the most: relative to the echo e rms over a
+        bandwidth B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar.
 
     >>> Tolerance(0.4)
     Tolerance(noise_share=0.4, cell_share=None, echo_db=None, distance_m=None)
@@ -100,6 +100,24 @@ class Tolerance:
         others = ((cell, "%"), (self.echo_db, "dB"), (self.distance_m, "m"))
         told = [f"{value!r} {unit}" for value, unit in others if value is not None]
         return ", ".join([repr(self.noise_share), *told])
+
+    def check_sensors(self, *, camera: bool, radar: bool) -> None:
+        """Raise InputError for an error of what a sensor measures that there is not.
+
+        >>> Tolerance.of("0.5 dB").check_sensors(camera=True, radar=False)
+        Traceback (most recent call last):
+        hardware.errors.InputError: tolerance: 0.5 dB of an echo, without a radar
+        """
+        if self.echo_db is not None and not radar:
+            raise InputError(f"tolerance: {self.echo_db:g} dB of an echo, without a radar")
+        if self.distance_m is not None and not radar:
+            text = f"{self.distance_m:g} m of a radar's distances, without a radar"
+            if camera:
+                text += "; a camera's follow from its light: expected a share of its noise (0.05)"
+            raise InputError(f"tolerance: {text}")
+        if self.cell_share is not None and not camera:
+            share = 100 * self.cell_share
+            raise InputError(f"tolerance: {share:g} % of a cell's light, without a camera")
 
     def knobs(self, bandwidth_hz: float | None = None) -> Fidelity:
         """The knobs that keep the error within it; ``bandwidth_hz`` is the radar's, None where

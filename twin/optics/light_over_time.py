@@ -67,7 +67,8 @@ def light_over_time(
     times_s : (n,) array
         First instants, ascending, so close that no edge passes more than a cell in between.
     changes : (n - 1, n_cells) array
-        Cells whose light may change from each instant to the next; others are not rendered again.
+        Cells whose direct light may change from each instant to the next; others are not rendered
+        again, but for parts that change everywhere.
     effort
         How closely.
     """
@@ -78,7 +79,7 @@ def light_over_time(
     parts = [
         _over_time(
             Drawing(tracer_at, part, number),
-            *_thinned(times_s, changes, part.step),
+            *_thinned(times_s, np.ones_like(changes) if part.everywhere else changes, part.step),
             effort.of_part(float(by_path[number]), float(by_motion[number])),
         )
         for number, part in enumerate(traces)

@@ -56,6 +56,8 @@ class Part:
         parts together, that of this part, over those of the others.
     first
         Paths of a set of a cell to begin with, where their number follows from a tolerance.
+    everywhere
+        What moves changes it in all cells, by light that comes from there: not direct light.
     """
 
     trace: Callable[[Tracer, Rays], Any]
@@ -65,6 +67,7 @@ class Part:
     path_weight: float = 1.0
     motion_weight: float = 1.0
     first: int = _FIRST
+    everywhere: bool = False
 
 
 @dataclass(frozen=True, eq=False)

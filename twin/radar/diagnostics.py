@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from hardware.records import RadarRecord
 from hardware.waveform import C_M_PER_S
-from twin.accuracy import Decision
+from twin.accuracy import missed_effects
 from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
@@ -130,17 +130,8 @@ def _not_followed(bursts: Sequence[Propagation]) -> list[str]:
     """On effects that no model follows although they may add more than is permitted, each at the
     burst where it may add the most.
     """
-    worst: dict[str, Decision] = {}
-    for decision in (decision for burst in bursts for decision in burst.decisions):
-        if not decision.taken and decision.bound > decision.permitted:
-            known = worst.setdefault(decision.effect, decision)
-            if decision.bound > known.bound:
-                worst[decision.effect] = decision
-    return [
-        f"{decision.effect}: not computed; at most {decision.bound:.2g} {decision.unit}, where "
-        f"{decision.permitted:.2g} is permitted; the stated errors contain it"
-        for decision in worst.values()
-    ]
+    missed = missed_effects(decision for burst in bursts for decision in burst.decisions)
+    return [f"{text}; the stated errors contain it" for text in missed]
 
 
 def _antennas(radar: RadarDesign) -> str:
