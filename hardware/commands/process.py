@@ -187,15 +187,20 @@ def _image_motion(
 ) -> "Motion | Search | MotionOfTracks | None":
     """What images are compensated for. Raises InputError where options contradict each other."""
     from hardware.commands.motions import motion_of
-    from hardware.reconstruction.motion import Search
+    from hardware.reconstruction.motion import Layers, ShiftTrack
 
     if rig and motion != "radar":
         raise InputError("--rig: is for --motion radar")
     if motion is None:
         return None
-    given = _motion_of_tracks(source, rig) if motion == "radar" else motion_of(motion)
-    if image_every and (motion == "radar" or isinstance(given, Search)):
+    if image_every and motion in ("radar", "estimate"):
         raise InputError(f"--motion: {motion}: needs whole sets, expected no --image-every")
+    given = _motion_of_tracks(source, rig) if motion == "radar" else motion_of(motion)
+    if image_every and isinstance(given, Layers | ShiftTrack):
+        raise InputError(
+            f"--motion: {motion}: its time 0 is the middle of a whole set, expected no "
+            "--image-every, or a motion that is the same at all times"
+        )
     return given
 
 

@@ -147,3 +147,31 @@ def test_the_command(tmp_path: Path) -> None:
     assert "/spi/record, 0.000 s: 4 images" in done.stdout
     topics = [one.topic for one in read_messages(out)]
     assert (topics.count("/radar/tracks"), topics.count("/spi/image")) == (4, 4)
+
+
+@pytest.mark.parametrize(
+    ("motion", "told"),
+    [
+        ("estimate", "--motion: estimate: needs whole sets, expected no --image-every"),
+        ("radar", "--motion: radar: needs whole sets, expected no --image-every"),
+        ("m.csv", "m.csv: its time 0 is the middle of a whole set, expected no --image-every"),
+        ("m.toml", "m.toml: its time 0 is the middle of a whole set, expected no --image-every"),
+        ("0,3", None),
+    ],
+)
+def test_motions_between_whole_sets(motion: str, told: str | None, tmp_path: Path) -> None:
+    """Now is no middle of a set: what changes over time, or where it stands, is refused."""
+    with Log(tmp_path / "run.mcap") as log:
+        log.record("/radar/record", cube(WIDE, [], noise_w=1e-10), host_ns=1)
+        log.record("/spi/record", camera_record(), host_ns=9)
+    (tmp_path / "m.csv").write_text("time_s,down_cells,right_cells\n-1,0,-2\n1,0,2\n")
+    (tmp_path / "m.toml").write_text("background_cells_per_s = [0.0, 3.0]\n")
+    given = str(tmp_path / motion) if "." in motion else motion
+    command = ("process", tmp_path / "run.mcap", "-o", tmp_path / "out.mcap", "--motion", given)
+    done = ugv(*command, "--image-every", "16")
+    if told is None:
+        assert done.returncode == 0, done.stderr
+        assert "4 images" in done.stdout
+    else:
+        assert done.returncode == 2
+        assert told in done.stderr

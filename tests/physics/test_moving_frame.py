@@ -13,86 +13,37 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tests.designs import changed
+from tests.physics.moving_worlds import FINE, SIDE, exposed, going, plate, small, world
 from tests.physics.radar_worlds import ball
 from twin.camera import capture
 from twin.camera.assumptions import MOVING_ASSUMPTION, STILL_ASSUMPTION
 from twin.camera.chain import Chain
-from twin.camera.exposure_noise import exposure_noise_w
 from twin.camera.exposures import Exposures
-from twin.camera.light import render, render_light
+from twin.camera.light import render_light
 from twin.camera.motion import WorldInMotion
 from twin.camera.mounting import light_problem
-from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.truth import Truth, depths
 from twin.engine import mitsuba
 from twin.fidelity import DEFAULT, Fidelity
 from twin.files import InputError
-from twin.geometry import Geometry
 from twin.motion import Product, Still, Straight, Turning
 from twin.motion.trajectory import through
 from twin.optics.paths import TracingQuality
 from twin.optics.ray_sets import RowRays
 from twin.optics.transport import path_moments
-from twin.scene import Pose, Rig, Scene, SceneObject, Sun, load_scene
+from twin.scene import Pose, Rig, Scene, Sun, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
 
 Array = NDArray[np.float64]
 
-FINE = Fidelity(light_tolerance=0.05, motion_tolerance=0.05)
 EXACT = Fidelity(128**2, 8, indirect_samples=32**2)
-SIDE = 16
-SUN = Sun(200.0, 30.0, 1e3)
 
 
 @pytest.fixture(scope="module")
 def system() -> System:
     """16 x 16 cells, 512 exposures in 51.2 ms."""
     return small()
-
-
-def small(**values: float) -> System:
-    return changed(
-        **{
-            "emitter__rows": {"value": SIDE, "assumed": "test"},
-            "emitter__columns": {"value": SIDE, "assumed": "test"},
-            "acquisition__n_patterns": {"value": SIDE**2, "assumed": "test"},
-            **values,
-        }
-    )
-
-
-def plate(name: str, y: tuple[float, float], z: tuple[float, float], x: float = 5.0) -> SceneObject:
-    """An upright plate that faces the rig."""
-    corners = np.array([[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]])
-    return SceneObject(
-        name, Geometry(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32)), "m", 0.5
-    )
-
-
-def world(*objects: SceneObject, rig: Rig | None = None) -> Scene:
-    """Emitter and detector at one place."""
-    here = Pose((0.0, 0.0, 0.0))
-    mounted = rig or Rig(here, here, replace(here))
-    return Scene("test", Path("test"), "", objects, mounted, SUN)
-
-
-def going(item: SceneObject, *velocity: float) -> SceneObject:
-    return replace(item, velocity_m_per_s=velocity)
-
-
-def exposed(scene: Scene, system: System, fidelity: Fidelity = FINE) -> tuple[FrameLight, float]:
-    """Light of all exposures, and the noise of one, W."""
-    moving = world_in_motion(scene, system, fidelity)
-    assert moving is not None
-    chain, seed = Chain.of(system, scene.sun), np.random.SeedSequence(3)
-    middle = scene.after(moving.duration_s / 2)
-    rendered = render(middle, system, fidelity=fidelity, seed=seed)
-    return (
-        frame_light(moving, chain, rendered, fidelity, seed.spawn(2)),
-        exposure_noise_w(chain, rendered),
-    )
 
 
 def anew(
@@ -156,10 +107,10 @@ def covered(edge: Array, distance: float, system: System) -> Array:
     "speed",
     [
         20.0,  # 9 cells in the frame
-        pytest.param(0.4, marks=pytest.mark.slow),  # a fifth of a cell
-        pytest.param(-20.0, marks=pytest.mark.slow),
+        pytest.param(0.4, marks=pytest.mark.thorough),  # a fifth of a cell
+        pytest.param(-20.0, marks=pytest.mark.thorough),
         # 2.2 cells within each exposure: it is blurred, and gone after 6 of them
-        pytest.param(3000.0, marks=pytest.mark.slow),
+        pytest.param(3000.0, marks=pytest.mark.thorough),
     ],
 )
 def test_an_edge_that_moves_across_the_image_is_the_closed_form(
@@ -250,7 +201,7 @@ def test_rays_of_many_instants_meet_what_stock_scenes_at_these_instants_have(
     assert n_found > 2500
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_exposure_is_a_stock_render_at_its_own_time(system: System) -> None:
     error = off(many(), system, np.array([0, 77, 311, 511]))
     assert np.sqrt(np.mean(error**2)) < 0.12
@@ -276,7 +227,7 @@ def test_a_fast_rig_with_few_paths_says_what_they_err_by(system: System) -> None
     assert stated / 3 < np.sqrt(np.mean(error**2)) < stated * 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_suns_light_moves_too(system: System) -> None:
     """A plate's shadow passes over the wall, and the wall turns bright: differences of exposures
     between which that happens.

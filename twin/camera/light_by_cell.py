@@ -28,6 +28,8 @@ from twin.optics.path_drawing import Effort, Part
 from twin.optics.paths import SunLight
 from twin.optics.problem import LightProblem
 from twin.optics.tracer import Tracer
+from twin.scene import Scene
+from twin.scene.texture import Texture
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -90,12 +92,21 @@ def light_by_cell(
             overlooked=partial(
                 world.overlooked, emitter=problem.emitter, detector=problem.detector, shape=shape
             ),
+            many_edges=_texture_moves(world.scene),
         ),
     )
     sun = _sun(world, change, chain, problem, rendered, fidelity, second)
     cells_w = (watt * found.light)[:, None, None]
     error = math.hypot(found.motion_error, sun[2]) / math.sqrt(2)
     return LightAtInstants(found.times_s, cells_w, *sun[:2], error, found.path_error)
+
+
+def _texture_moves(scene: Scene) -> bool:
+    """Whether a texture moves before the camera."""
+    return any(
+        isinstance(item.reflectance, Texture) and (item.moves or scene.rig.moves)
+        for item in scene.objects
+    )
 
 
 def _noise_growth(chain: Chain, light_w: Array, rendered: RenderedLight, noise_w: float) -> Array:

@@ -3,9 +3,10 @@
 All cells that may change are rendered at some first instants. The middle of each interval is then
 rendered where light may have a kink there, and compared with what interpolation says: the cells
 that differ the most are followed into both halves, until what the others are off by is little
-enough. A path has the same random numbers at all instants, so that light differs between instants
-by what moved. The square of a difference is taken as the product of those of two independent sets
-of paths, whose mean is the true one, without what paths err by.
+enough; where textures move, cells that are right are followed once more. A path has the same random
+numbers at all instants, so that light differs between instants by what moved. The square of a
+difference is taken as the product of those of two independent sets of paths, whose mean is the true
+one, without what paths err by.
 """
 
 import math
@@ -166,6 +167,9 @@ def _over_time(drawing: Drawing, times: Array, changes: Flags, effort: Effort) -
                 likely = drawing.sorted_out(off)
                 halves += interval.after(likely, off, alike, len(at) - 1)
         worst = max([worst, *(1 - x.budget for x in halves)])
+        if effort.many_edges and not drawing.is_smooth:
+            # Both halves of each, in turn.
+            halves = [x.looked_at_again(fine[i // 2]) for i, x in enumerate(halves)]
         opened = [x for x in _with_overlooked(halves, at, effort) if x.cells.any()]
     order = np.argsort(at)
     limit = effort.motion_limit if isinstance(effort.limit, int) else effort.limit
@@ -185,7 +189,8 @@ def _over_time(drawing: Drawing, times: Array, changes: Flags, effort: Effort) -
 @dataclass(frozen=True, eq=False)
 class _Interval:
     """Between two instants, by number: cells that are followed further, the squared error that they
-    may be off by, and what they seem to be off by.
+    may be off by, and what they seem to be off by; ``again``: those of them whose last middle was
+    right.
     """
 
     first: int
@@ -193,6 +198,7 @@ class _Interval:
     cells: Flags
     budget: float
     left: float = 0.0
+    again: Flags | None = None
 
     def after(self, likely: Array, off: Array, alike: float, middle: int) -> list["_Interval"]:
         """Both halves, with the cells that are to be followed into them; ``off``: squared errors of
@@ -215,6 +221,15 @@ class _Interval:
         if off <= self.budget:
             return self._halves(middle, np.zeros_like(self.cells), self.budget - off, 0.0)
         return self._halves(middle, self.cells, self.budget, off)
+
+    def looked_at_again(self, whole: "_Interval") -> "_Interval":
+        """As this half of an interval, with the cells too that were right there for the first
+        time.
+        """
+        again = whole.cells & ~self.cells
+        if whole.again is not None:
+            again &= ~whole.again
+        return replace(self, cells=self.cells | again, again=again)
 
     def _halves(self, middle: int, cells: Flags, budget: float, left: float) -> list["_Interval"]:
         ends = ((self.first, middle), (middle, self.last))

@@ -97,6 +97,10 @@ class Effort:
     overlooked
         Of intervals, from times (n,) to times (n,), the cells that something may pass unseen from
         both, (n, n_cells): they are followed whatever is seen in the middle.
+    many_edges
+        A cell may be passed by several edges between two instants, as those of a texture: their
+        kinks may cancel in the middle, so that a cell whose middle is right is looked at in the
+        middles of both halves too.
     """
 
     limit: Array | int
@@ -107,6 +111,7 @@ class Effort:
     together: bool = False
     lit_share: float = 0.0
     overlooked: Callable[[Array, Array], Flags] | None = None
+    many_edges: bool = False
 
     def grown(self, light: Array) -> Array:
         """`noise_growth` of light, (n,)."""
@@ -129,6 +134,11 @@ class Drawing:
         seed = np.random.SeedSequence([tracer.seed, _DRAWS, number])
         self._shift = int(seed.generate_state(1)[0])
         self.looks = self.paths = 0
+
+    @property
+    def is_smooth(self) -> bool:
+        """Of its part."""
+        return self._part.is_smooth
 
     def sorted_out(self, off: Array) -> Array:
         """Squared errors that single cells are likely to have, of noisy ones whose sum is right."""

@@ -1,0 +1,67 @@
+"""Small scenes in which things move before the camera, and the light of all exposures to them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.designs import changed
+from twin.camera.chain import Chain
+from twin.camera.exposure_noise import exposure_noise_w
+from twin.camera.light import render
+from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
+from twin.fidelity import Fidelity
+from twin.geometry import Geometry
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun
+from twin.system import System
+
+Array = NDArray[np.float64]
+
+FINE = Fidelity(light_tolerance=0.05, motion_tolerance=0.05)
+SIDE = 16
+SUN = Sun(200.0, 30.0, 1e3)
+
+
+def small(**values: object) -> System:
+    """``workable`` of 16 x 16 cells, or with other values too."""
+    return changed(
+        **{
+            "emitter__rows": {"value": SIDE, "assumed": "test"},
+            "emitter__columns": {"value": SIDE, "assumed": "test"},
+            "acquisition__n_patterns": {"value": SIDE**2, "assumed": "test"},
+            **values,
+        }
+    )
+
+
+def plate(name: str, y: tuple[float, float], z: tuple[float, float], x: float = 5.0) -> SceneObject:
+    """An upright plate that faces the rig."""
+    corners = np.array([[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]])
+    return SceneObject(
+        name, Geometry(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32)), "m", 0.5
+    )
+
+
+def world(*objects: SceneObject, rig: Rig | None = None) -> Scene:
+    """Emitter and detector at one place."""
+    here = Pose((0.0, 0.0, 0.0))
+    mounted = rig or Rig(here, here, replace(here))
+    return Scene("test", Path("test"), "", objects, mounted, SUN)
+
+
+def going(item: SceneObject, *velocity: float) -> SceneObject:
+    return replace(item, velocity_m_per_s=velocity)
+
+
+def exposed(scene: Scene, system: System, fidelity: Fidelity = FINE) -> tuple[FrameLight, float]:
+    """Light of all exposures, and the noise of one, W."""
+    moving = world_in_motion(scene, system, fidelity)
+    assert moving is not None
+    chain, seed = Chain.of(system, scene.sun), np.random.SeedSequence(3)
+    middle = scene.after(moving.duration_s / 2)
+    rendered = render(middle, system, fidelity=fidelity, seed=seed)
+    return (
+        frame_light(moving, chain, rendered, fidelity, seed.spawn(2)),
+        exposure_noise_w(chain, rendered),
+    )
