@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.currents import normal_of, plane_of
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import Triangles, origin_of
-from twin.radar.propagation.one_way.path import TracingContext, is_clear, offset
+from twin.radar.propagation.one_way.path import TracingContext, is_clear, offset, onto_path
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -108,7 +108,8 @@ def reflected_from(
     active = mi.Bool(True)
     if tubes.waves is None:  # what lies in shadow reflects nothing
         active = is_clear(context, tubes.source, place, off, active)
-    ray = mi.Ray3f(mi.Point3f(place + off), mi.Vector3f(direction))
+    start = onto_path(place, place + off, direction)
+    ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction))
     hit = context.world.scene.ray_intersect_preliminary(ray, active=active)
     active &= hit.is_valid()
     number = dr.gather(mi.UInt32, context.world.object_index, hit.prim_index, active)

@@ -31,6 +31,8 @@ class Scatterers:
         where the image is inside the mesh's box.
     reachable : (n_images, n_facets)
         Whether paths between the image and the facet are traced.
+    patch_area_m2 : (n_facets,)
+        Area of the flat patch of its object that it is part of; 0 where it does not scatter.
 
     On the device: the ``antenna``; per object ``answers``, whether it scatters, its ``surface`` and
     ``motions``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
@@ -41,6 +43,7 @@ class Scatterers:
     counts: NDArray[np.bool_]
     outward: NDArray[np.int8]
     reachable: NDArray[np.bool_]
+    patch_area_m2: Array
     antenna: AntennaGain
     answers: Any
     surface: Any
@@ -55,7 +58,7 @@ def scatterers(
     """Scatterers of a scene, by the body of every object, -1 where it does not scatter."""
     world, mi = prepared.world, prepared.context.mi
     count = len(world.faces)
-    outward = np.zeros(count, dtype=np.int8)
+    outward, patch_area_m2 = np.zeros(count, dtype=np.int8), np.zeros(count)
     counts = world.plane_table[:, 3:].any(axis=1) & (body[world.object_of_face] >= 0)
     for number in np.flatnonzero(body[: len(world.face_ranges)] >= 0).tolist():
         item, rows = world.items[number], world.face_ranges[number]
@@ -63,11 +66,13 @@ def scatterers(
         shape = item.geometry.shape
         counts[rows] &= ~shape.is_double
         outward[rows] = shape.outward
+        patch_area_m2[rows] = shape.patch_area_m2[shape.patch_of_face]
     return Scatterers(
         body=body[world.object_of_face].astype(np.intp),
         counts=counts,
         outward=np.where(_within(prepared)[:, world.object_of_face], np.int8(0), outward),
         reachable=_reachable(prepared, antenna),
+        patch_area_m2=patch_area_m2,
         antenna=antenna_gain(mi, antenna, prepared.axes),
         answers=mi.Bool(aligned(body >= 0)),
         surface=mi.UInt32(prepared.surface_of_object),

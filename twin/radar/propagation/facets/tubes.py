@@ -50,7 +50,9 @@ _DOUBT = 1.0  # relative error of a tube that is represented by one ray: others 
 _CURVED = 1.0  # relative error of a tube cut at a border, over that border's curvature
 _MOST_CURVATURE = 0.4
 _ALIKE = 0.9  # cosine between facets of one curved surface
-_LEAST_SLOPE = 0.05  # sine of the angle at which planes are met: a ray's triangle stays finite
+#: Sine of the angle at which planes are met: from less on, a ray's triangle is no larger than the
+#: flat patch that it lies on.
+_LEAST_SLOPE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,8 +325,12 @@ def _lit_on(
     lit_point = onto(dr.select(is_ray, begin, samples_of(some, mi.UInt32(3))))
     direction, wider = dr.normalize(lit_point - origin), dr.norm(lit_point - origin)
     wider /= dr.norm(begin - origin)
+    a, b, c = some.corners
+    section = dr.abs(dr.dot(dr.cross(b - a, c - a), direction)) / 2 * dr.square(wider)
+    patch_area = mi.Float64(aligned(scatterers.patch_area_m2[face]))
+    least = dr.minimum(_LEAST_SLOPE, section / dr.maximum(patch_area, 1e-300))
     slope = dr.dot(across, direction)
-    slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), _LEAST_SLOPE)
+    slope = dr.select(slope < 0, -1.0, 1.0) * dr.maximum(dr.abs(slope), least)
 
     def around(place: Vector3) -> Vector3:
         """Corners for parallel rays: the tube's own rays there may miss the plane."""

@@ -219,7 +219,7 @@ def _to_image(
         )
         clear &= ~has | ((t > 0) & (t < distance))
         if tested:
-            begin, reach_m = _onto_path(at, start, direction), t
+            begin, reach_m = onto_path(at, start, direction), t
             last = begin
             if unshadowed or in_parts:
                 near = dr.minimum(dr.maximum(_JUST_BEFORE * t, _STEPS * offset(mirror)), t)
@@ -241,7 +241,7 @@ def _to_image(
     towards_radar = segment_vector / dr.maximum(distance, NEAREST_M)
     if tested and not unshadowed:
         reach = mi.Float(distance * (1 - 1e-5)) - mi.Float(offset(at))
-        begin = _onto_path(at, start, towards_radar)
+        begin = onto_path(at, start, towards_radar)
         clear &= ~_is_met(context, begin, towards_radar, reach, clear)
     return _PathToImage(back, length, -towards_radar, clear, mirrors, aim, distance)
 
@@ -298,7 +298,7 @@ def _first_meets(
     return dr.select(of_wall, free & hit.is_valid() & (patch == number), solid)
 
 
-def _onto_path(place: Any, start: Any, direction: Any) -> Any:
+def onto_path(place: Any, start: Any, direction: Any) -> Any:
     """Where a ray begins, as far from the surface as ``start``, but on the path itself.
 
     From beside it the same ray would shift the borders of all shadows by as much, alike: of a body
