@@ -303,6 +303,7 @@ def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
         surface=context.mi.UInt32(aligned(subject.surface)),
         motions=MovingBodies(context.mi.Float64(aligned(np.zeros(3 * kinds)))),
         parts=dr.arange(context.mi.UInt32, count),
+        is_over_band=False,
     )
 
 

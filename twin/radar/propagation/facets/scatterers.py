@@ -36,7 +36,9 @@ class Scatterers:
 
     On the device: the ``antenna``; per object ``answers``, whether it scatters, its ``surface`` and
     ``motions``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
-    ``half_time_s``: half the duration of the burst, 0 where nothing moves.
+    ``half_time_s``: half the duration of the burst, 0 where nothing moves. ``is_over_band``:
+    whether echoes become contributions that hold over the band (`wideband`), or count at single
+    frequencies, each integrated by itself.
     """
 
     body: NDArray[np.intp]
@@ -50,6 +52,7 @@ class Scatterers:
     motions: MovingBodies
     parts: Any
     half_time_s: float = 0.0
+    is_over_band: bool = True
 
 
 def scatterers(
