@@ -69,7 +69,7 @@ def test_the_truth_of_light_is_that_of_a_wall() -> None:
     problem: LightProblem = replace(
         case.problem, detector=replace(case.problem.detector, origin_m=np.zeros(3))
     )
-    cells = Renderer(problem).render(case.system.image_shape, 4, 1)
+    cells = Renderer(problem, case.system.image_shape).render(4, 1)
     t = problem.emitter.tan_half_field
     x, weight = np.polynomial.legendre.leggauss(64)
     exact = (
