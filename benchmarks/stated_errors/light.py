@@ -45,7 +45,7 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
         "warnings": tuple(str(w) for w in rendered.warnings),
     }
     yield Judged(
-        **_of_image(rendered.light, truth),
+        **of_image(rendered.light, truth),
         truth="stock Mitsuba",
         seconds=seconds,
         cheapest=_cheapest(case, drawn, truth, seconds) if search else None,
@@ -57,7 +57,7 @@ def judged(drawn: LightCase, limit_s: float, *, search: bool = True) -> Iterator
         yield Judged(**asdict(figure), **common)
 
 
-def _of_image(light: DetectorLight, truth: LightReference) -> dict[str, Any]:
+def of_image(light: DetectorLight, truth: LightReference) -> dict[str, Any]:
     """Fields of `Judged`: root mean squares over the cells, over a pixel's noise, and the cells."""
     left_out = np.broadcast_to(light.left_out, light.error.shape).ravel()
     error, off = light.error.ravel(), light.cells.ravel() - truth.light

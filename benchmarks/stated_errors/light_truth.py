@@ -44,7 +44,7 @@ class Renderer:
         #: Half the film, in half fields of the emitter: with what is blurred beyond its edge.
         half = 1 + _SIGMAS * blur
         across = half * cell_centres(_FILM)
-        self._rows, self._columns = (_covers(n, across, blur) for n in shape)
+        self._rows, self._columns = (covers(n, across, blur) for n in shape)
         light = _projector(detector)
         self._view = _View(problem, emitter, half * emitter.tan_half_field, 3, light, _FILM)
 
@@ -65,7 +65,7 @@ class SunRenderer:
         if _is_in_field(detector, problem.sun_direction):
             raise ValueError("the sun is in the field, where a camera does not see it")
         x = cell_centres(_SUN_FILM)
-        self._rows, self._columns = (_covers(n, x, 0.0) for n in shape)
+        self._rows, self._columns = (covers(n, x, 0.0) for n in shape)
         square = x[:, None] ** 2 + x**2
         self._inside = square <= (1 if detector.outline == "disc" else 2)
         sun = {
@@ -124,7 +124,7 @@ class _View:
         return np.array(image, dtype=np.float64)[..., 0] * self._weight
 
 
-def _covers(n_cells: int, pixels: Array, blur: float) -> Array:
+def covers(n_cells: int, pixels: Array, blur: float) -> Array:
     """Share of each pixel's light that each cell has, (n_cells, n_pixels), across a field from -1
     to 1 with this standard deviation of blur.
     """
