@@ -19,8 +19,9 @@ from benchmarks.stated_errors.judged import Judged, summary
 from benchmarks.stated_errors.resumed import Run, results
 from benchmarks.timing import Figure
 
-#: Published; development takes those below 100.
-SEED = 17017
+#: Fixed before anything was run with it; development takes those below 100. A seed whose cases have
+#: been looked at, and the twin changed for them, no longer counts.
+SEED = 17041
 _CASES = 36  # of each sensor, besides the hard ones
 _TRUTH_S, _QUICK_S = 10.0, 3.0  # of CPU, for a truth of light
 
@@ -51,13 +52,15 @@ def resumable_figures(run: Run, names: Sequence[str], file: Path, limit_s: int) 
     """
     listed = _NAMES[run.sensor](_CASES)
     wanted = [name for name in listed if not names or any(part in name for part in names)]
-    found: list[Judged] = []
+    found, left_out = list[Judged](), 0
     for result in results(run, wanted, judged_case, file, limit_s):
         if result.left_out:
+            left_out += 1
             yield f"{run.sensor}, {result.case}: left out", 1.0, f"case, {result.left_out}"
         for one in result.judged:
             found.append(one)
             yield _told(run.sensor, one)
+    yield f"{run.sensor}: cases left out", float(left_out), f"of {len(wanted)}"
     yield from _summaries(run.sensor, found)
 
 
@@ -71,8 +74,14 @@ def _told(sensor: str, one: Judged) -> Figure:
 
 
 def _summaries(sensor: str, found: Sequence[Judged]) -> Iterator[Figure]:
-    for figure in dict.fromkeys(one.figure for one in found if sensor == "light"):
-        yield from summary(f"{sensor}, {figure}", [o for o in found if o.figure == figure])
+    """Light by figure; the radar's bodies by where their truths are from. Then all."""
+    if sensor == "light":
+        for figure in dict.fromkeys(one.figure for one in found):
+            yield from summary(f"{sensor}, {figure}", [o for o in found if o.figure == figure])
+    else:
+        for name, is_independent in (("independent truth", True), ("no independent truth", False)):
+            some = [one for one in found if one.is_independent == is_independent]
+            yield from summary(f"{sensor}, {name}", some)
     yield from summary(f"{sensor}, all", found)
 
 

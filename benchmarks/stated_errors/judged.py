@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest
 
+from benchmarks.stated_errors.cells import AIM, CellErrors
 from benchmarks.timing import Figure
 
-#: Standard errors of a truth, beyond which an error is not the truth's.
+#: Half widths of a truth's own error, beyond which an error is not the truth's.
 _SURE = 3.0
 
 
@@ -31,15 +32,20 @@ class Judged:
         Of the case, and what of it.
     tolerance
         Asked for.
-    stated, true, truth_error
-        Half width of the stated interval; the error; the standard error of the truth itself. All in
+    stated, systematic
+        Half width of the stated interval, and the part of it that is a bound, not a deviation.
+    true, truth_error
+        The difference from the truth, and half the width of the truth's own interval. All in
         ``unit``.
+    truth, is_independent
+        Where the truth is from, and whether it comes from elsewhere than what is judged.
     seconds, cheapest, searched, choosing
         CPU time of the run; the cheapest sufficient setting, None if none that takes no longer is
         sufficient, and whether it was looked for; share of the time that went into choosing. NaN
         and None where not measured.
-    inside
-        Share of an image's cells within their own intervals.
+    cells
+        Of an image: its cells, each against its own interval. ``stated`` is then the root mean
+        square that its standard errors let expect, not the end of an interval.
     """
 
     name: str
@@ -49,25 +55,30 @@ class Judged:
     true: float
     truth_error: float
     unit: str
+    systematic: float = 0.0
+    truth: str = ""
+    is_independent: bool = True
     seconds: float = math.nan
     cheapest: Cheapest | None = None
     searched: bool = False
     choosing: float = math.nan
-    inside: float = math.nan
+    cells: CellErrors | None = None
     warnings: tuple[str, ...] = ()
 
     @property
     def ratio(self) -> float:
-        """True error over the stated interval."""
-        return self.true / self.stated if self.stated else (math.inf if self.true else 0.0)
+        """The difference over what the stated error and the truth's own explain together."""
+        explained = self.systematic + math.hypot(self.stated - self.systematic, self.truth_error)
+        return self.true / explained if explained else (math.inf if self.true else 0.0)
 
     @property
     def is_decided(self) -> bool:
-        """Whether the truth itself is known to within what is stated, or well enough to say that
-        the error is beyond it.
+        """Whether an error is bounded, and the truth itself known to within what is stated, or well
+        enough to say that the error is beyond it.
         """
         beyond = self.true > self.stated + _SURE * self.truth_error
-        return self.truth_error <= self.stated or beyond or not self.true
+        is_known = self.truth_error <= self.stated or beyond or not self.true
+        return is_known and math.isfinite(self.stated)
 
     @property
     def over_cheapest(self) -> float:
@@ -75,10 +86,16 @@ class Judged:
         return self.seconds / self.cheapest.seconds if self.cheapest else 1.0
 
     def __str__(self) -> str:
+        stated = "expected" if self.cells else "stated"
         parts = [
-            f"tolerance {self.tolerance:g}, stated {self.stated:.2g}, true {self.true:.2g} "
+            f"tolerance {self.tolerance:g}, {stated} {self.stated:.2g}, true {self.true:.2g} "
             f"{self.unit} (truth itself to {self.truth_error:.1g})"
         ]
+        if self.truth:
+            independence = "" if self.is_independent else ", not independent"
+            parts.append(f"truth{independence}: {self.truth}")
+        if not self.is_decided:
+            parts.append("undecided")
         if self.seconds >= 0:
             parts.append(f"{self.seconds:.2g} s of CPU")
         if self.searched:
@@ -90,36 +107,73 @@ class Judged:
             )
         if self.choosing >= 0:
             parts.append(f"choosing {100 * self.choosing:.1f} %")
-        if self.inside >= 0:
-            parts.append(f"{100 * self.inside:.1f} % of cells within their own intervals")
+        if self.cells:
+            parts.append(str(self.cells))
         if self.warnings:
             parts.append("warned: " + " | ".join(w[:100] for w in self.warnings))
         return "; ".join(parts)
 
 
 def summary(what: str, found: Sequence[Judged]) -> Iterator[Figure]:
-    """Coverage with its interval, the worst ratio, and times. Errors where the truth itself is
-    known too little (`Judged.is_decided`) are not counted.
+    """Of figures with an interval: coverage with its own, and the worst ratio. Of images: shares of
+    their cells, and errors over those expected. Of both: times.
+
+    Errors where the truth itself is known too little (`Judged.is_decided`) are not counted.
     """
-    everything, found = found, [one for one in found if one.is_decided]
-    yield f"{what}: truths too uncertain to count", float(len(everything) - len(found)), "cases"
+    figures = [one for one in found if one.cells is None]
+    if figures:
+        yield from _of_intervals(what, figures)
+    images = [one for one in found if one.cells is not None]
+    if images:
+        yield from _of_images(what, images)
+    yield from _times(what, found)
+
+
+def _of_intervals(what: str, everything: Sequence[Judged]) -> Iterator[Figure]:
+    found = [one for one in everything if one.is_decided]
+    undecided = len(everything) - len(found)
+    yield f"{what}: undecided, not counted", float(undecided), f"of {len(everything)}"
     if not found:
         return
     ratio = np.array([one.ratio for one in found])
-    within = int(np.sum(ratio <= 1))
-    interval = binomtest(within, len(found)).proportion_ci(method="wilson")
-    yield (
-        f"{what}: within the stated interval",
-        100 * within / len(found),
-        f"% ({within} of {len(found)}; 95 % interval {100 * interval.low:.1f} to "
-        f"{100 * interval.high:.1f} %)",
-    )
+    yield _share(f"{what}: within the stated interval", int(np.sum(ratio <= 1)), len(found))
     worst = found[int(np.argmax(ratio))]
-    yield f"{what}: largest error over the stated one", worst.ratio, f"({worst.name})"
+    where = f"({worst.name}: {worst.figure})"
+    yield f"{what}: largest error over the stated one", worst.ratio, where
     yield f"{what}: error over the stated one, median", float(np.median(ratio)), ""
-    inside = [one.inside for one in found if one.inside >= 0]
-    if inside:
-        yield f"{what}: cells within their own intervals", 100 * float(np.mean(inside)), "%"
+
+
+def _of_images(what: str, images: Sequence[Judged]) -> Iterator[Figure]:
+    cells = [one.cells for one in images if one.cells is not None and one.cells.judged]
+    undecided = sum(one.cells.undecided for one in images if one.cells is not None)
+    judged = sum(each.judged for each in cells)
+    if judged:
+        share = 100 * sum(each.within for each in cells) / judged
+        yield f"{what}: cells within their own intervals", share, f"% of {judged} in all images"
+        well = sum(each.share >= AIM for each in cells)
+        yield f"{what}: images with {100 * AIM:g} % of their cells", float(well), f"of {len(cells)}"
+        worst = max(images, key=lambda one: one.cells.largest if one.cells else 0.0)
+        assert worst.cells is not None
+        largest = worst.cells.largest
+        yield f"{what}: largest error of a cell over the stated", largest, f"({worst.name})"
+    yield f"{what}: cells undecided, not counted", float(undecided), f"beside {judged}"
+    known = [one for one in images if one.is_decided and one.stated]
+    if not known:
+        return
+    ratio = np.array([one.ratio for one in known])
+    name = f"{what}: root mean square error over the expected"
+    yield f"{name}, median", float(np.median(ratio)), f"of {len(known)} images; 1 is right"
+    yield f"{name}, least", float(ratio.min()), f"({known[int(np.argmin(ratio))].name})"
+    yield f"{name}, largest", float(ratio.max()), f"({known[int(np.argmax(ratio))].name})"
+
+
+def _share(what: str, within: int, count: int) -> Figure:
+    interval = binomtest(within, count).proportion_ci(method="wilson")
+    of = f"{within} of {count}; 95 % interval {100 * interval.low:.1f} to {100 * interval.high:.1f}"
+    return what, 100 * within / count, f"% ({of} %)"
+
+
+def _times(what: str, everything: Sequence[Judged]) -> Iterator[Figure]:
     timed = [one for one in everything if one.searched]
     if timed:
         over = np.array([one.over_cheapest for one in timed])

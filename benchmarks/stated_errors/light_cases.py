@@ -12,6 +12,7 @@ from twin.system import System, load_system
 
 #: Keys of draws: light and radar have numbers of their own.
 _LIGHT = 1
+_BLURRED = 1 / 3  # of the emitters
 _TOLERANCES = (0.05, 0.1, 0.2, 0.5, 1.0)
 
 
@@ -63,9 +64,11 @@ def _case(name: str, draw: Draw, rng: np.random.Generator, tolerance: float) -> 
 
 
 def _system(rng: np.random.Generator) -> System:
-    """Any grid, field, lens, detector, converter and sky."""
+    """Any grid, field, lens, detector, converter and sky; a third of the emitters blur."""
     side = int(rng.choice([16, 32, 64]))
     field = float(rng.choice([8.0, 20.0, 40.0, 70.0]))
+    blurred = bool(rng.random() < _BLURRED)
+    blur_deg = float(rng.uniform(0.2, 1.0)) * field / side
     return load_system("workable").with_(
         {
             "emitter.rows": side,
@@ -78,6 +81,7 @@ def _system(rng: np.random.Generator) -> System:
             "readout.adc_bits": int(rng.integers(12, 21)),
             "acquisition.integration_time_s": float(rng.choice([10e-6, 40e-6, 80e-6])),
             "sky.illuminance_lx": float(10 ** rng.uniform(0, 4.5)),
+            **({"emitter.blur_rms_deg": blur_deg} if blurred else {}),
         }
     )
 
