@@ -36,6 +36,7 @@ _ROOMS = (
     "vehicle",
     "stream",
     "motion",
+    "lidar",
     "moving_radar",
     "driving",
     "commands",
