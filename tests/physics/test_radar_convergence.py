@@ -24,9 +24,16 @@ from tests.physics.radar_worlds import (
 )
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
-from twin.radar.diagnostics import _unconverged
 from twin.radar.evaluation import evaluate_radar
-from twin.radar.propagation.facets.convergence import BodyEcho, band_of, body_echoes, unconverged
+from twin.radar.propagation.facets.convergence import (
+    BodyEcho,
+    band_of,
+    beyond_tolerance,
+    body_echoes,
+    stated,
+    unconverged,
+    worst_by_body,
+)
 from twin.radar.propagation.facets.error_budget import Budget
 from twin.radar.propagation.physical_optics import wave_numbers
 from twin.radar.propagation.result import Propagation
@@ -85,9 +92,8 @@ def test_what_is_divided_no_further_is_named(scene: Scene, monkeypatch: pytest.M
     assert screen.objects == ("screen",)
     assert screen.estimated_error > errors(found, at(0.01, scene))["screen"] > 0.1
     (text,) = unconverged(found.bodies)
-    assert text.startswith("numerical error of the echo of screen: ")
-    assert text.endswith(" % with 95 % confidence; fidelity.radar_tolerance asks for 10 %")
-    assert text in found.assumptions
+    assert text.startswith("error of the echo, with 95 % confidence: screen ")
+    assert text.endswith(" %; fidelity.radar_tolerance asks for 10 %")
     assert text in taken.assumptions
     assert [w.kind for w in taken.warnings if w == text] == ["rendering"]
     rows = radar_summary(evaluate_radar(RADAR, taken))["bodies"]
@@ -218,14 +224,33 @@ def test_of_a_track_the_worst_burst_is_named() -> None:
         )
         return Propagation(bodies=bodies)
 
-    assert _unconverged([burst(0.05, 0.2)]) == []
-    assert _unconverged([burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)]) == [
-        "numerical error of the echoes of b, a: 123, 70 % with 95 % confidence; "
+    def told(*bursts: Propagation) -> list[str]:
+        return unconverged(worst_by_body(body for each in bursts for body in each.bodies))
+
+    assert told(burst(0.05, 0.2)) == []
+    assert told(burst(0.7, 0.05), burst(0.15, 1.234), burst(0.05, 0.3)) == [
+        "error of the echoes, with 95 % confidence: b 123 %, a 70 %; "
         "fidelity.radar_tolerance asks for 10 %"
     ]
-    (text,) = _unconverged([burst(*np.linspace(1.8, 0.7, 8))])
-    assert "echoes of a, b, c, d, e, f: " in text
-    assert "with 95 % confidence; 2 more bodies are off by less; " in text
+    (text,) = told(burst(*np.linspace(1.8, 0.7, 8)))
+    assert ", f " in text
+    assert "; 2 more bodies are off by less; " in text
+
+
+def test_errors_of_faint_bodies_are_told_of_their_own_echoes() -> None:
+    """An echo 78 dB below the strongest, its error 16 % of the level that counts, 40 dB below."""
+    echo = np.array([[1.0], [10 ** (-78 / 20)]]) * np.ones(3)
+    own, faint = body_echoes([("a",), ("b",)], echo, np.array([0.0, 0.157 * 0.01 / 3]), 0.1, 0.0)
+    assert stated(own) == "0.3 %"
+    assert faint.estimated_error == pytest.approx(0.16)
+    assert faint.level_over_echo == pytest.approx(10 ** (38 / 20))
+    assert stated(faint) == (
+        "1271 % (16 % of the least level that the tolerance is of, 38 dB above it)"
+    )
+    assert beyond_tolerance([own, faint]) == (
+        f"stated with 95 % confidence: b to {stated(faint)}; 10 % asked"
+    )
+    assert beyond_tolerance([own]) == ""
 
 
 @pytest.mark.thorough

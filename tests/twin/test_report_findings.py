@@ -11,12 +11,14 @@ from twin.detector import FrontEnd
 from twin.fidelity import PRESETS, Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
+from twin.radar.propagation.facets.convergence import BodyEcho
 from twin.report import charts
 from twin.report.findings import camera_finding
 from twin.report.levers import camera_levers
 from twin.report.places import half_width_rad, in_image, places_of
 from twin.report.radar_findings import radar_finding, reach_of, threshold_db
 from twin.report.scene_model import coarser, scene_model
+from twin.report.summary import summary
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 from twin.system import System, load_system
 
@@ -164,6 +166,34 @@ def test_a_missed_target_is_said_to_lack_what_it_lacks() -> None:
     louder = 10 ** ((lacking_db + 6) / 10)
     found = heard(target("ball", 20.0), target("fly", 60.0, 3.0, 1e-7 * louder))
     assert not found.missed
+
+
+@pytest.mark.parametrize(
+    ("error", "state", "result"),
+    [
+        (0.1, "good", "1 of 1 targets"),
+        (
+            0.8,
+            "usable",
+            "1 of 1 targets; echoes stated with 95 % confidence: car to 80 %; 10 % asked",
+        ),
+    ],
+)
+def test_a_verdict_tells_errors_beyond_what_was_asked(
+    error: float, state: str, result: str
+) -> None:
+    """Of a body whose echo is known to a factor of five the verdict is not the same as of one that
+    is known to a tenth; on the command line and in the summary neither.
+    """
+    seen = heard(target("ball", 20.0))
+    car = BodyEcho(("car",), 0.0, error, 0.1, amplitude=1e-6, level_amplitude=1e-6)
+    first = replace(seen.capture.bursts[0], bodies=(car,))
+    seen = replace(seen, capture=replace(seen.capture, bursts=(first,)))
+    finding = radar_finding(seen)
+    assert (finding.state, finding.result) == (state, result)
+    assert ("car to 80 %" in str(seen)) == (state == "usable")
+    (said,) = summary(None, [], seen)["findings"]
+    assert (said["state"], said["result"]) == (state, result)
 
 
 def test_a_radar_without_any_echo_says_so() -> None:

@@ -236,7 +236,7 @@ def radar_capture(
         bursts=bursts,
         air=air,
         sample_noise_w=radar.sample_noise_w,
-        assumptions=assumptions(first, radar, bursts[0], air, solver),
+        assumptions=assumptions(first, radar, bursts, air, solver),
         warnings=warnings(first, radar, bursts, truth, record, solver),
         is_bounded=solver.has_tolerance or _is_declared_alone(first, echo.fidelity),
     )

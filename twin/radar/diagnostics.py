@@ -13,7 +13,7 @@ from twin.geometry import are_too_large, shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import full_scale_w, image_rejection_db
 from twin.radar.device.phase_noise import residual_rad
-from twin.radar.propagation.facets.convergence import BodyEcho, unconverged
+from twin.radar.propagation.facets.convergence import unconverged, worst_by_body
 from twin.radar.propagation.one_way.motion import lengthening, relative_motion
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
@@ -40,9 +40,15 @@ MODEL_ASSUMPTIONS = (
 
 
 def assumptions(
-    scene: Scene, radar: RadarDesign, propagation: Propagation, air: Atmosphere, solver: Solver
+    scene: Scene,
+    radar: RadarDesign,
+    bursts: Sequence[Propagation],
+    air: Atmosphere,
+    solver: Solver,
 ) -> tuple[str, ...]:
-    """Everything that a capture takes for granted, the design's assumed values included."""
+    """Everything that a capture takes for granted, the design's assumed values included; what the
+    propagation takes for granted is that of the first burst.
+    """
     values = [said for _, said in radar.assumed()]
     targets = [
         f"cross-section of {t.name} = {number(t.rcs_m2, 4)} m^2: "
@@ -57,7 +63,8 @@ def assumptions(
         *_steps(radar),
         *_front_end(radar),
         air.describe(radar.ofdm.carrier_hz),
-        *propagation.assumptions,
+        *bursts[0].assumptions,
+        *unconverged(worst_by_body(body for burst in bursts for body in burst.bodies)),
         *values,
         *targets,
     )
@@ -95,7 +102,8 @@ def warnings(
         )
         messages.append(CaptureWarning("rendering", text))
     messages += [CaptureWarning("model", text) for text in bursts[0].warnings]
-    messages += [CaptureWarning("rendering", text) for text in _unconverged(bursts)]
+    bodies = worst_by_body(body for burst in bursts for body in burst.bodies)
+    messages += [CaptureWarning("rendering", text) for text in unconverged(bodies)]
     messages += [CaptureWarning("tolerance", text) for text in _not_followed(bursts)]
     messages += _coarse(scene, radar, bursts[0])
     if not bursts[0].instants:
@@ -114,16 +122,6 @@ def warnings(
         text = "all counts are 0: raise front_end.noise_counts, or front_end.adc_bits"
         messages.append(CaptureWarning("underexposed", text, void=True))
     return tuple(messages)
-
-
-def _unconverged(bursts: Sequence[Propagation]) -> list[str]:
-    """On the bodies that have not converged, each at the burst where its error is largest."""
-    worst: dict[tuple[str, ...], BodyEcho] = {}
-    for body in (body for burst in bursts for body in burst.bodies):
-        largest = worst.setdefault(body.objects, body)
-        if body.estimated_error > largest.estimated_error:
-            worst[body.objects] = body
-    return unconverged(worst.values())
 
 
 def _not_followed(bursts: Sequence[Propagation]) -> list[str]:

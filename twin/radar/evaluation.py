@@ -20,6 +20,7 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.intervals import DetectionIntervals, detection_intervals
 from twin.radar.micro_doppler import MicroDoppler, micro_doppler
 from twin.radar.picture import TrackPicture, track_picture
+from twin.radar.propagation.facets.convergence import beyond_tolerance, worst_by_body
 from twin.radar.propagation.result import Path as RadioPath
 from twin.radar.truth import TrueTarget
 from twin.scene import Scene
@@ -77,6 +78,14 @@ class RadarEvaluation:
         names = {match.name for match in self.matches if match}
         return tuple(target for target in self.capture.truth if target.name not in names)
 
+    @property
+    def beyond_tolerance(self) -> str:
+        """Which bodies' echoes are stated to more than was asked, at the burst where their errors
+        are largest; empty if none is.
+        """
+        bodies = (body for burst in self.capture.bursts for body in burst.bodies)
+        return beyond_tolerance(worst_by_body(bodies))
+
     def expectation(self, target: TrueTarget) -> str:
         """What was to be expected of a target, in words."""
         if not target.visible:
@@ -102,7 +111,10 @@ class RadarEvaluation:
             text = ", ".join(f"{t.name} ({self.expectation(t)})" for t in self.missed)
             where = " on the map" if self.picture else ""
             lines.append(f"{name}: missed{where}: {text}")
-        return "\n".join(lines if truth else lines[-1:])
+        lines = lines if truth else lines[-1:]
+        if self.beyond_tolerance:
+            lines.append(f"{name}: echoes {self.beyond_tolerance}")
+        return "\n".join(lines)
 
     @property
     def tally(self) -> str:

@@ -18,7 +18,8 @@ _BANDS, _LEAST_CELLS = 16, 4
 #: Factor on the SNR from which a change is worth a word.
 _HELPS = 1.05
 
-State = Literal["good", "limited", "void"]
+#: ``usable``: all targets are seen, but echoes are stated to more than the error asked for.
+State = Literal["good", "usable", "limited", "void"]
 
 
 @dataclass(frozen=True)

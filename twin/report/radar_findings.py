@@ -9,7 +9,7 @@ from twin.accuracy import Figure, Interval
 from twin.radar.detection_count import threshold_db
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.truth import TrueTarget
-from twin.report.findings import Finding
+from twin.report.findings import Finding, State
 from twin.report.levers import Lever
 from twin.report.radar_summary import budget_figures
 
@@ -26,15 +26,18 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
     truth, missed = capture.truth, evaluation.missed
     reach_m, excess = reach_of(evaluation, 1.0), noise_excess_db(evaluation)
     excess_db, nepers = excess.value, excess.noise * np.log(10) / 10
-    state = "limited" if missed or not evaluation.detections else "good"
+    state, beyond = _state(evaluation), evaluation.beyond_tolerance
+    result = (
+        f"{len(truth) - len(missed)} of {len(truth)} targets"
+        if truth
+        else f"{len(evaluation.detections)} detections"
+    )
     of = (radar.name,)
     return Finding(
         radar.name,
         radar.description,
-        "good" if state == "good" else "limited",
-        f"{len(truth) - len(missed)} of {len(truth)} targets"
-        if truth
-        else f"{len(evaluation.detections)} detections",
+        state,
+        f"{result}; echoes {beyond}" if beyond else result,
         (
             ("What is seen", _seen(evaluation)),
             ("To what distance", _how_far(evaluation, reach_m)),
@@ -54,6 +57,13 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
             Figure(of, "map's noise over the thermal one", "dB", excess),
         ),
     )
+
+
+def _state(evaluation: RadarEvaluation) -> State:
+    """By what is missed, and by the errors that bodies' echoes are stated to."""
+    if evaluation.missed or not evaluation.detections:
+        return "limited"
+    return "usable" if evaluation.beyond_tolerance else "good"
 
 
 def reach_of(evaluation: RadarEvaluation, rcs_m2: float) -> float:

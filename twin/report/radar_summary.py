@@ -12,7 +12,7 @@ from twin.radar.detection_count import window_loss
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
 from twin.radar.micro_doppler import WINDOWS
-from twin.radar.propagation.facets.convergence import percent
+from twin.radar.propagation.facets.convergence import percent, stated
 
 _CFAR = {"ca": "cell-averaging", "go": "greatest-of", "os": "ordered-statistic"}
 
@@ -39,9 +39,8 @@ def radar_summary(evaluation: RadarEvaluation) -> dict[str, Any]:
             (
                 body.name,
                 body_level(body).text("dB"),
-                f"{percent(body.estimated_error)} %"
-                + ("" if body.is_bounded else ", what fixed knobs leave out aside"),
-                f"{percent(body.tolerance)} %" + ("" if body.is_converged else ", exceeded"),
+                stated(body) + ("" if body.is_bounded else ", what fixed knobs leave out aside"),
+                f"{percent(body.tolerance)} %" + ("" if body.is_within_tolerance else ", exceeded"),
             )
             for body in evaluation.capture.propagation.bodies
         ],

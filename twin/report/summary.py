@@ -204,7 +204,10 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
         yield Figure(whose, "level by the radar equation", "dBm", Interval(float(received)))
     for body in capture.propagation.bodies:
         level = body_level(body)
-        yield Figure((*of, "body", body.name), "level over the strongest body", "dB", level)
+        whose = (*of, "body", body.name)
+        yield Figure(whose, "level over the strongest body", "dB", level)
+        error = body.estimated_error * body.level_over_echo
+        yield Figure(whose, "stated error over its own echo", "", Interval(error))
     for role in capture.propagation.roles:
         ratio = Interval(float(role.over_fresnel_zone))
         yield Figure(

@@ -13,7 +13,7 @@ from twin.radar.propagation.scene.culling import OF_NOISE
 
 Array = NDArray[np.float64]
 
-_UNIT = "of the echo"
+UNIT = "of the echo, or of the least level that counts"
 _FAINT = OF_NOISE, "of a cell's noise", False
 #: What reflects, and the least number of reflections.
 _KINDS = {"bounces": ("reflections at bodies", 1), "images": ("reflections at large surfaces", 0)}
@@ -58,14 +58,14 @@ def on_edges(
             effect = f"edges of {label_of(objects[k])}"
             at_most = float(bound[k])
             decisions.append(
-                Decision("radar", effect, at_most, permitted, _UNIT, taken, cost_of_each_s)
+                Decision("radar", effect, at_most, permitted, UNIT, taken, cost_of_each_s)
             )
         if len(order) > _NAMED:
             effect = f"edges of {len(order) - _NAMED} further bodies"
             at_most = float(bound[order[_NAMED:]].max())
             cost_of_all_s = cost_of_each_s * (len(order) - _NAMED)
             decisions.append(
-                Decision("radar", effect, at_most, permitted, _UNIT, taken, cost_of_all_s)
+                Decision("radar", effect, at_most, permitted, UNIT, taken, cost_of_all_s)
             )
     return tuple(decisions)
 
@@ -100,12 +100,12 @@ def on_reflections(
             for body in some[:_NAMED]:
                 effect = f"{what} beyond {number[body]}, {label_of(objects[body])}"
                 decisions.append(
-                    Decision("radar", effect, float(bound[body]), permitted, _UNIT, is_taken)
+                    Decision("radar", effect, float(bound[body]), permitted, UNIT, is_taken)
                 )
             if len(some) > _NAMED:
                 effect = f"further {what}, {len(some) - _NAMED} fainter bodies"
                 most_of = float(bound[some[_NAMED:]].max())
-                decisions.append(Decision("radar", effect, most_of, permitted, _UNIT, is_taken))
+                decisions.append(Decision("radar", effect, most_of, permitted, UNIT, is_taken))
     return (*decisions, *_on_coarse_tubes(choice.undivided / level, objects, permitted))
 
 
@@ -119,14 +119,14 @@ def _on_coarse_tubes(
     some = np.argsort(-bound, kind="stable")[: np.count_nonzero(bound)]
     decisions = [
         Decision(
-            "radar", f"{effect}, {label_of(objects[k])}", float(bound[k]), permitted, _UNIT, False
+            "radar", f"{effect}, {label_of(objects[k])}", float(bound[k]), permitted, UNIT, False
         )
         for k in some[:_NAMED]
     ]
     if len(some) > _NAMED:
         what = f"{effect}, {len(some) - _NAMED} further bodies"
         at_most = float(bound[some[_NAMED]])
-        decisions.append(Decision("radar", what, at_most, permitted, _UNIT, False))
+        decisions.append(Decision("radar", what, at_most, permitted, UNIT, False))
     return decisions
 
 
@@ -154,12 +154,12 @@ def on_round_obstacles(
             effect = f"{rest}{which} to {label_of(objects[k])}"
             cost = cost_of_each_s if taken else math.nan
             decisions.append(
-                Decision("radar", effect, float(values[k]), permitted, _UNIT, taken, cost)
+                Decision("radar", effect, float(values[k]), permitted, UNIT, taken, cost)
             )
         if len(order) > _NAMED:
             rest = "" if taken else "the weaker "
             effect = f"{rest}{which} to {len(order) - _NAMED} more bodies"
             at_most = float(values[order[_NAMED:]].max())
             cost = cost_of_each_s * (len(order) - _NAMED) if taken else math.nan
-            decisions.append(Decision("radar", effect, at_most, permitted, _UNIT, taken, cost))
+            decisions.append(Decision("radar", effect, at_most, permitted, UNIT, taken, cost))
     return tuple(decisions)

@@ -17,7 +17,6 @@ from twin.radar.propagation.effects_by_bounds import (
     round_obstacles,
     sharp_edges,
 )
-from twin.radar.propagation.facets.convergence import unconverged
 from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.facets.reflections import MOST_IMAGES
 from twin.radar.propagation.left_out import on_meshes
@@ -131,7 +130,6 @@ def echoes(
             *smooth_bodies(scene, radar, roles, fidelity),
             *unbounded,
             *behind.remarks,
-            *unconverged(bodies),
         ),
         heard=_heard(every.take(slice(len(names), None)), prepared, radar),
         warnings=(

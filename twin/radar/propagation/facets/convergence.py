@@ -62,6 +62,18 @@ class BodyEcho:
         return label_of(self.objects)
 
     @property
+    def level_over_echo(self) -> float:
+        """Of the level that errors are relative to, over the echo: above 1 for faint bodies."""
+        if not self.amplitude:
+            return 1.0
+        return max(self.level_amplitude / self.amplitude, 1.0)
+
+    @property
+    def is_within_tolerance(self) -> bool:
+        """Whether the estimate is within the tolerance, to two digits, as both are told."""
+        return float(percent(self.estimated_error)) <= float(percent(self.tolerance))
+
+    @property
     def is_converged(self) -> bool:
         """Whether the estimate is within six times the tolerance: the median error is a quarter."""
         return self.estimated_error <= _SURE * self.tolerance
@@ -78,6 +90,47 @@ def percent(share: float) -> str:
     return f"{100 * share:.2g}" if share < 1 else f"{100 * share:.0f}"
 
 
+def of_echo(share: float, level_over_echo: float) -> str:
+    """A share of the level that a body's errors are relative to, as per cent of the body's own
+    echo; of a faint body with what it is of that level.
+    """
+    own = f"{percent(share * level_over_echo)} %"
+    if level_over_echo <= 1:
+        return own
+    above_db = 20 * np.log10(level_over_echo)
+    return (
+        f"{own} ({percent(share)} % of the least level that the tolerance is of, "
+        f"{above_db:.2g} dB above it)"
+    )
+
+
+def stated(body: BodyEcho) -> str:
+    """The estimated error of a body's echo, relative to that echo."""
+    return of_echo(body.estimated_error, body.level_over_echo)
+
+
+def beyond_tolerance(bodies: Iterable[BodyEcho]) -> str:
+    """Which bodies' echoes are stated to more than was asked, the worst first; empty if none is."""
+    worst = sorted(
+        (body for body in bodies if not body.is_within_tolerance),
+        key=lambda body: -body.estimated_error,
+    )
+    if not worst:
+        return ""
+    named = ", ".join(f"{body.name} to {stated(body)}" for body in worst[:_NAMED])
+    more = f" and {len(worst) - _NAMED} more bodies to less" * (len(worst) > _NAMED)
+    return f"stated with 95 % confidence: {named}{more}; {percent(worst[0].tolerance)} % asked"
+
+
+def worst_by_body(bodies: Iterable[BodyEcho]) -> tuple[BodyEcho, ...]:
+    """Of bodies that are told several times, as of several bursts, that of the largest error."""
+    worst: dict[tuple[str, ...], BodyEcho] = {}
+    for body in bodies:
+        if body.estimated_error > worst.setdefault(body.objects, body).estimated_error:
+            worst[body.objects] = body
+    return tuple(worst.values())
+
+
 def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
     """A remark on the bodies that have not converged, if there are any."""
     worst = sorted(
@@ -85,13 +138,12 @@ def unconverged(bodies: Iterable[BodyEcho]) -> list[str]:
     )
     if not worst:
         return []
-    named = ", ".join(body.name for body in worst[:_NAMED])
-    errors = ", ".join(percent(body.estimated_error) for body in worst[:_NAMED])
+    named = ", ".join(f"{body.name} {stated(body)}" for body in worst[:_NAMED])
     more = len(worst) - _NAMED
     others = f"; {more} more {'body is' if more == 1 else 'bodies are'} off by less" * (more > 0)
     return [
-        f"numerical error of the {'echo' if len(worst) == 1 else 'echoes'} of {named}: {errors} % "
-        f"with 95 % confidence{others}; fidelity.radar_tolerance asks for "
+        f"error of the {'echo' if len(worst) == 1 else 'echoes'}, with 95 % confidence: "
+        f"{named}{others}; fidelity.radar_tolerance asks for "
         f"{percent(worst[0].tolerance)} %"
     ]
 

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.decisions import UNIT
 from twin.radar.propagation.facets.convergence import percent, reference_levels
 from twin.radar.propagation.interval.bounds import OVER_ANGLE, Change, largest_change, times_within
 from twin.radar.propagation.interval.one_instant import checked
@@ -123,7 +124,7 @@ def _spans(scene: Scene, radar: RadarDesign, half_s: float, permitted: float, le
 def _decision(worst: Change, permitted: float, taken: bool, cost_s: float = np.nan) -> Decision:
     how = "turns" if worst.turned_rad * OVER_ANGLE > worst.bend_rad else "moves"
     effect = f"what changes within an interval beyond delays of second order: {worst.name} {how}"
-    return Decision("radar", effect, worst.error, permitted, "of the echo", taken, cost_s)
+    return Decision("radar", effect, worst.error, permitted, UNIT, taken, cost_s)
 
 
 class _Search:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.facets.convergence import BodyEcho, percent, reference_levels
+from twin.radar.propagation.facets.convergence import BodyEcho, of_echo, percent, reference_levels
 from twin.radar.propagation.interval.affected import unaffected, ways_m, with_silent
 from twin.radar.propagation.interval.bounds import Change, times_within
 from twin.radar.propagation.interval.reflected import changes_with_reflections
@@ -171,25 +171,29 @@ def _told(
         changed = max(largest[-1], float(reflected) if turning else 0.0)
         if changed > worst.error:
             worst = replace(worst, name=name, changed=changed)
+        faint = bodies[number].level_over_echo if is_heard else 1.0
         if direct > permitted:
-            remarks.append(_changed_remark(name, float(direct), permitted, is_heard))
+            remarks.append(_changed_remark(name, float(direct), permitted, is_heard, faint))
         if turning:
             remarks.append(
-                f"motion within an interval: {percent(reflected)} % of the echo of "
+                f"motion within an interval: {of_echo(float(reflected), faint)} of the echo of "
                 f"{name} are reflections between parts that turn, of which only delays "
-                f"change; from the middle to the end the echo changes by {percent(both)} %: "
+                f"change; from the middle to the end the echo changes by "
+                f"{of_echo(float(both), faint)}: "
                 f"{_HOW}"
             )
         elif both > max(permitted, direct):
             remarks.append(
                 f"motion within an interval: with reflections the echo of {name} changes by "
-                f"{percent(both)} % beyond its delays, which is left out; {percent(permitted)} % "
-                f"permitted: {_HOW}"
+                f"{of_echo(float(both), faint)} beyond its delays, which is left out; "
+                f"{percent(permitted)} % permitted: {_HOW}"
             )
     return worst, tuple(remarks), np.array(largest[: len(bodies)])
 
 
-def _changed_remark(name: str, changed: float, permitted: float, is_heard: bool) -> str:
+def _changed_remark(
+    name: str, changed: float, permitted: float, is_heard: bool, level_over_echo: float
+) -> str:
     """That a direct echo changes within an interval, by how much, and what to do."""
     if not is_heard:
         return (
@@ -197,8 +201,9 @@ def _changed_remark(name: str, changed: float, permitted: float, is_heard: bool)
             f"other times, which is left out: {_HOW}"
         )
     return (
-        f"motion within an interval: the direct echo of {name} changes by {percent(changed)} % of "
-        f"its echo beyond its delays, which is left out; {percent(permitted)} % permitted: {_HOW}"
+        f"motion within an interval: the direct echo of {name} changes by "
+        f"{of_echo(changed, level_over_echo)} of its echo beyond its delays, which is left out; "
+        f"{percent(permitted)} % permitted: {_HOW}"
     )
 
 
