@@ -22,8 +22,7 @@ _SURE = 4.0
 @dataclass(frozen=True)
 class CellErrors:
     """Cells that were judged, how many of them are within their intervals, the largest error over
-    half the width of one; and cells whose truth is known too little. Cells without light in image
-    and truth are neither.
+    half the width of one; and cells whose truth is known too little. Dark cells are neither.
     """
 
     judged: int
@@ -46,8 +45,11 @@ class CellErrors:
         )
 
 
-def compared(off: Array, error: Array, left_out: Array, truth_error: Array) -> CellErrors:
-    """Cells' errors against their intervals; all arrays (n_cells,).
+def compared(
+    off: Array, error: Array, left_out: Array, truth_error: Array, least: float = 0.0
+) -> CellErrors:
+    """Cells' errors against their intervals; all arrays (n_cells,). A cell is dark where its error,
+    what is stated of it and the truth's own are no more than ``least``.
 
     An error counts as within where the stated standard error, the truth's own, and the bound of
     what is left out explain it. The truth of a cell is known well enough where it has no larger
@@ -56,7 +58,7 @@ def compared(off: Array, error: Array, left_out: Array, truth_error: Array) -> C
     off = np.abs(off)
     stated = TWO_SIDED_95 * error + left_out
     explained = left_out + TWO_SIDED_95 * np.hypot(error, truth_error)
-    is_lit = (off > 0) | (stated > 0) | (truth_error > 0)
+    is_lit = np.max([off, stated, truth_error], axis=0) > least
     beyond = off > stated + _SURE * truth_error
     is_known = (TWO_SIDED_95 * truth_error <= stated) | beyond
     judged = is_lit & is_known

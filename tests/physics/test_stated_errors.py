@@ -95,11 +95,11 @@ def test_100_figures_tell_standard_errors_too_small_by_half(
 
 
 def test_cells_whose_truth_is_known_too_little_are_counted_apart() -> None:
-    """Of four cells one is within, one twice beyond, the truth of one is known to five times what
-    is stated, and one is dark.
+    """Of five cells one is within, one twice beyond, the truth of one is known to five times what
+    is stated, one is dark, and one off by less than counts.
     """
-    off, error = np.array([1.0, 3.92, 6.0, 0.0]), np.array([1.0, 1.0, 1.0, 0.0])
-    cells = compared(off, error, np.zeros(4), np.array([0.0, 0.0, 5.0, 0.0]))
+    off, error = np.array([1.0, 3.92, 6.0, 0.0, 1e-9]), np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+    cells = compared(off, error, np.zeros(5), np.array([0.0, 0.0, 5.0, 0.0, 0.0]), 1e-6)
     assert cells == CellErrors(judged=2, within=1, largest=2.0, undecided=1)
 
 
