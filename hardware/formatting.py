@@ -96,6 +96,22 @@ def with_error(value: float, error: float, unit: str = "", *, sign: bool = False
     return f"{shown} ± {small}{tail}"
 
 
+def at_most(value: float, above: float, unit: str = "", *, sign: bool = False) -> str:
+    """A figure that may be any smaller, and larger by an error at most; to two digits of that.
+
+    >>> at_most(-98.183, 3.04, "dBm"), at_most(2.31, 4.1, "dB", sign=True)
+    ('-98.2, at most -95.1 dBm', '+2.3, at most +6.4 dB')
+    """
+    ends = value, value + above
+    plus = ["+" if sign and end > 0 else "" for end in ends]
+    if unit in _PREFIXED or not above > 0:
+        shown = [_alone(end, unit) for end in ends]
+        return f"{plus[0]}{shown[0]}, at most {plus[1]}{shown[1]}"
+    decimals = max(1 - _place(above), 0)
+    least, most = (f"{mark}{end:.{decimals}f}" for mark, end in zip(plus, ends, strict=True))
+    return f"{least}, at most {most}{f' {unit}' if unit else ''}"
+
+
 def quantity_text(value: float, unit: str | None, digits: int = 3) -> str:
     """A number with its unit, with a prefix where the unit takes one; no trailing zeros.
 

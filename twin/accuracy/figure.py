@@ -32,7 +32,10 @@ class Figure:
     interval: Interval
 
     def entry(self) -> dict[str, Any]:
-        """Ready for JSON: null where there is no number, no end or no bound."""
+        """Ready for JSON: null where there is no number, no end or no bound; ``systematic_above``
+        only where the interval has an upper end alone.
+        """
+        above = self.interval.systematic_above
         return {
             "of": list(self.of),
             "name": self.name,
@@ -41,6 +44,7 @@ class Figure:
             "standard_error": _number(self.interval.standard_error),
             "systematic": _number(self.interval.systematic),
             "noise": _number(self.interval.noise),
+            **({} if above is None else {"systematic_above": _number(above)}),
         }
 
     def __str__(self) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hardware.formatting import with_error
+from hardware.formatting import at_most, with_error
 
 #: Standard deviations within which 95 of 100 draws of a normal distribution lie.
 TWO_SIDED_95 = 1.96
@@ -31,22 +31,29 @@ class Interval:
         where nothing bounds it.
     noise
         Standard deviation of ``value`` over other draws of the sensor's noise.
+    systematic_above
+        Of an interval that has an upper end alone, ``systematic`` being infinite: what the model
+        may be off by upward. None: as far as downward.
 
     >>> psnr_db = Interval(27.31, standard_error=0.05, systematic=0.02, noise=0.08)
     >>> print(f"{psnr_db.low:.2f} to {psnr_db.high:.2f}")
     27.05 to 27.57
     >>> print(psnr_db, "of it", psnr_db.of_model)
     27.31 ± 0.26 of it 27.31 ± 0.12
+    >>> level_dbm = Interval(-98.2, 0.5, math.inf, systematic_above=2.0)
+    >>> print(level_dbm, level_dbm.holds(-120.0), level_dbm.holds(-95.0))
+    -98.2, at most -95.2 True False
     """
 
     value: float
     standard_error: float = 0.0
     systematic: float = 0.0
     noise: float = 0.0
+    systematic_above: float | None = None
 
     @property
     def half_width(self) -> float:
-        """Of the interval."""
+        """Of the interval; infinite where it has no lower end."""
         return float(half_width(self.standard_error, self.systematic, self.noise))
 
     @property
@@ -62,7 +69,8 @@ class Interval:
     @property
     def high(self) -> float:
         """Upper end of that interval."""
-        return self.value + self.half_width
+        above = self.systematic if self.systematic_above is None else self.systematic_above
+        return self.value + float(half_width(self.standard_error, above, self.noise))
 
     def holds(self, truth: float) -> bool:
         """Whether a true value lies within the interval; two NaN agree, and so do two that are
@@ -82,19 +90,27 @@ class Interval:
         statistical = TWO_SIDED_95 * math.hypot(
             self.standard_error, other.standard_error, self.noise, other.noise
         )
-        both = Interval(self.value, systematic=statistical + self.systematic + other.systematic)
-        return both.holds(other.value)
+        bounds = [replace(each, standard_error=0.0, noise=0.0) for each in (self, other)]
+        if math.isnan(self.value) or math.isnan(other.value):
+            return math.isnan(self.value) and math.isnan(other.value)
+        return self.value == other.value or all(
+            one.low <= another.high + statistical for one, another in (bounds, bounds[::-1])
+        )
 
     def __str__(self) -> str:
         return self.text()
 
-    def text(self, unit: str = "") -> str:
-        """In words, to two digits of the half-width, see `hardware.formatting.with_error`.
+    def text(self, unit: str = "", *, sign: bool = False) -> str:
+        """In words, to two digits of the half-width, see `hardware.formatting.with_error`; where
+        there is no lower end, with the upper one.
 
         >>> Interval(-3.21, 0.2).text("dB"), Interval(-3.21, 0.0, math.inf).text("dB")
         ('-3.21 ± 0.39 dB', '-3.21 dB, error not bounded')
         """
-        return with_error(self.value, self.half_width, unit)
+        above = self.high - self.value
+        if math.isfinite(above) and not math.isfinite(self.half_width):
+            return at_most(self.value, above, unit, sign=sign)
+        return with_error(self.value, self.half_width, unit, sign=sign)
 
 
 def half_width(standard_error: Any, systematic: Any, noise: Any) -> Any:

@@ -35,6 +35,12 @@ _DRAWS, _FEW = 16, 1.087
 _DRAWS_OF_IMAGES, _VERY_FEW = 8, 1.207
 #: Relative step for the slope of SSIM over the image's error.
 _STEP = 1e-3
+#: Errors by which a cell may be beside the median whose errors move it; neighbouring cells from
+#: which on quantiles of their differences are known; these quantiles, and of the square of a normal
+#: variable (chi-squared of one degree of freedom).
+_ABOUT, _LEAST_PAIRS = 2.0, 100
+_QUANTILES, _OF_NORMAL = (0.5, 0.75, 0.9), np.array([0.4549, 1.3233, 2.7055])
+_ACROSS = (slice(None), slice(1, None)), (slice(None), slice(-1))
 #: Cells to a side of blocks whose errors change sign together.
 _BLOCK = 4
 
@@ -88,16 +94,23 @@ def capture_intervals(capture: Capture) -> CaptureIntervals:
 def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"]) -> Interval:
     """A quantity of the SNRs of the lit cells: their median, the largest, the share above 1. Errors
     of light are drawn anew, those of the noise are common to all cells.
+
+    Errors that are drawn to SNRs that have errors already shift a median as those have shifted it
+    from the true one, where they are as large as stated. Stated errors of single cells are bounds
+    on the safe side; the median's are taken no larger than neighbouring cells let them be.
     """
     lit = lit_cells(capture.scene_e)
     if capture.void or not lit.any():
         return Interval(0.0 if quantity == "above 1" else np.nan)
     value, error, scene_e = _OF_SNR[quantity], capture.model_error, capture.scene_e
     snr = capture.snr[lit]
-    own, bound = (
-        np.broadcast_to(_over(part, scene_e), scene_e.shape)[lit]
+    relative, bound = (
+        np.broadcast_to(_over(part, scene_e), scene_e.shape)
         for part in (capture.cells_error_e, capture.light_systematic_e)
     )
+    own, bound = relative[lit], bound[lit]
+    if quantity == "median":
+        own = own * _share_seen(capture.snr, capture.snr * relative, lit)
     common, common_bound = (float(np.max(part)) for part in (error.noise, error.noise_systematic))
     each, together = _normal_draws(snr.size)
     drawn = value(snr * np.maximum(1 + own * each, 0) * (1 + common * together))
@@ -109,6 +122,26 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
     else:
         systematic = np.inf
     return Interval(here, _FEW * float(drawn.std(ddof=1)), systematic)
+
+
+def _share_seen(snr: Array, error: Array, lit: NDArray[np.bool_]) -> float:
+    """Share, at most 1, of the stated errors of cells that the errors have at most, as far as cells
+    about the median tell; all (rows, columns).
+
+    With independent errors neighbouring cells differ by at least what these make them differ by:
+    whatever the true difference is, it makes each quantile of the difference's size larger
+    (Anderson's inequality). Of several quantiles the one counts that permits most.
+    """
+    about = lit & (np.abs(snr - np.median(snr[lit])) <= _ABOUT * error)
+    squares = []
+    for one, other in (((slice(1, None),), (slice(-1),)), (_ACROSS[0], _ACROSS[1])):
+        both = (about[one] | about[other]) & lit[one] & lit[other]
+        variance = error[one][both] ** 2 + error[other][both] ** 2
+        squares.append((snr[one][both] - snr[other][both]) ** 2 / variance)
+    found = np.concatenate(squares)
+    if found.size < _LEAST_PAIRS:
+        return 1.0
+    return float(min(np.sqrt(np.max(np.quantile(found, _QUANTILES) / _OF_NORMAL)), 1.0))
 
 
 def signal_interval(capture: Capture) -> Interval:

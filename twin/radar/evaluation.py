@@ -64,7 +64,7 @@ class RadarEvaluation:
         """Of each detection, what the model may be off by, and its noise."""
         sent_w = self.radar.front_end.transmit_power_w.value
         return detection_intervals(
-            self.detections, self.capture, self.waveform, self.how.window, sent_w
+            self.detections, self.capture, self.image, self.waveform, self.how.window, sent_w
         )
 
     @property
@@ -252,7 +252,8 @@ def _within(detection: Detection, target: TrueTarget, waveform: OfdmWaveform) ->
 def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
     """``detections.csv``: one row per detection, strongest first, with the target it is; empty is
     what array or antenna do not tell. Columns ``model_QUANTITY_standard_error`` and
-    ``model_QUANTITY_systematic``: what the model may be off by.
+    ``model_QUANTITY_systematic``: what the model may be off by; a level whose systematic error is
+    infinite may still be bounded upward, by ``model_level_dbm_systematic_above``.
     """
     rows = (
         {
@@ -273,7 +274,7 @@ def write_detections(evaluation: RadarEvaluation, path: Path) -> None:
         f"model_{f.name}_{kind}"
         for f in fields(DetectionIntervals)
         for kind in ("standard_error", "systematic")
-    ]
+    ] + ["model_level_dbm_systematic_above"]
     names = [*(f.name for f in fields(Detection)), *errors, "target", "further_echo_of"]
     _write(path, names, rows)
 
@@ -285,6 +286,8 @@ def _model_errors(intervals: DetectionIntervals) -> dict[str, float]:
         is_known = not np.isnan(interval.value)
         found[f"model_{name}_standard_error"] = interval.standard_error if is_known else np.nan
         found[f"model_{name}_systematic"] = interval.systematic if is_known else np.nan
+    above = intervals.level_dbm.systematic_above
+    found["model_level_dbm_systematic_above"] = np.nan if above is None else above
     return found
 
 

@@ -1,13 +1,14 @@
 """Intervals of what a radar detects: what the propagation model may be off by, and its noise.
 
-The error of a body's echo is estimated as a share of its amplitude, root mean square over the band,
-that 95 of 100 bodies keep (`Propagation.bodies`). A detection is a part of one or several bodies at
-its range and rate. Of each it has the same relative error, and an equal part of the power of the
-error of the whole, which is spread over the ranges of the body.
+The solver tells where in range and rate the errors are that it accepts of a body's echo, and where
+the echo is itself (`BodyEcho.profile`). What of both lies in a detection's cell is the error of its
+amplitude (`errors_in_cell`).
 
-At an echo of amplitude a an error of amplitude r a changes the level by up to -20 lg(1 - r) dB; and
-delay, rate and direction by at most as much as noise of a signal-to-noise ratio of 1 / (2 r^2) does
-by one standard deviation (Cauchy-Schwarz inequality; of noise, half the power turns the phase).
+At an echo of amplitude a an error of amplitude r a changes the level by -20 lg(1 - r) dB downward
+and 20 lg(1 + r) dB upward at most; where r is 1 or more, the echo may be any weaker, and
+its level has an upper bound alone. Delay, rate and direction change by at most as much as noise of
+a signal-to-noise ratio of 1 / (2 r^2) does by one standard deviation (Cauchy-Schwarz inequality; of
+noise, half the power turns the phase).
 
 What another draw of the noise changes is what the detection tells of its own errors: they follow
 from the power around the echo, in which clutter counts as noise does.
@@ -18,16 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware.radar import Detection
+from hardware.radar import Detection, RangeDopplerMap
 from hardware.radar.measurement import standard_errors
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.accuracy import Interval
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.radar.acquisition import RadarCapture
+from twin.radar.errors_in_cell import errors_in_cell, measured_with
 from twin.radar.propagation.facets.convergence import BodyEcho
-
-#: Cells beside a body's ranges and rates in which its error counts.
-_CELLS = 2.0
 
 
 @dataclass(frozen=True)
@@ -45,91 +44,73 @@ class DetectionIntervals:
 
 def body_level(body: BodyEcho) -> Interval:
     """Level of a body over that of the strongest one, dB."""
-    statistical, systematic = _errors(body)
     if not body.amplitude:
         return Interval(body.level_db)
-    return Interval(
-        body.level_db,
-        _in_db(statistical / body.amplitude) / TWO_SIDED_95,
-        _in_db(systematic / body.amplitude) if body.is_bounded else np.inf,
-    )
+    over = body.level_amplitude / body.amplitude
+    statistical = (body.estimated_error - body.systematic) * over
+    systematic = body.systematic * over if body.is_bounded else np.inf
+    return level_interval(body.level_db, statistical, systematic)
 
 
-def _errors(body: BodyEcho) -> tuple[float, float]:
-    """Amplitudes of a body's error, that 95 of 100 bodies keep, and of the bound of what was left
-    out of it.
+def level_interval(
+    level_db: float, statistical: float, systematic: float, noise_db: float = 0.0
+) -> Interval:
+    """A level whose amplitude may be off by shares of it: by one that 95 of 100 keep, and by a
+    bound, in one phase.
+
+    >>> print(level_interval(-80.0, 0.1, 0.2), "/", level_interval(-80.0, 0.5, 0.7))
+    -80.0 ± 3.1 / -80.0, at most -73.2
     """
-    statistical = body.estimated_error - body.systematic
-    return statistical * body.level_amplitude, body.systematic * body.level_amplitude
+    both = statistical + systematic
+    if both < 1:
+        down = -20 * np.log10(1 - np.array([statistical, both]))
+        statistical_db = float(down[0])
+        return Interval(
+            level_db, statistical_db / TWO_SIDED_95, float(down[1]) - statistical_db, noise_db
+        )
+    up = 20 * np.log10(1 + np.array([statistical, both]))
+    above = float(up[1] - up[0]) if both < np.inf else None
+    return Interval(level_db, float(up[0]) / TWO_SIDED_95, np.inf, noise_db, above)
 
 
 def detection_intervals(
     detections: Sequence[Detection],
     capture: RadarCapture,
+    image: RangeDopplerMap,
     waveform: OfdmWaveform,
     window: str,
     transmit_power_w: float,
 ) -> tuple[DetectionIntervals, ...]:
-    """Intervals of detections of the first burst; ``waveform``, ``window``: those of the map."""
-    shares = [
-        _shares(detection, capture, waveform, np.sqrt(transmit_power_w)) for detection in detections
-    ]
-    record = capture.record
+    """Intervals of detections of the first burst, on its map ``image``; ``waveform``, ``window``:
+    those of the map.
+    """
+    record, sent = capture.record, np.sqrt(transmit_power_w)
     n_channels = max(len(record.front_end.transmitters_m), 1) * record.iq.shape[3]
-    return tuple(
-        _intervals(detection, share, waveform, window, n_channels)
-        for detection, share in zip(detections, shares, strict=True)
-    )
+    found = []
+    for detection in detections:
+        windows = measured_with(detection, window, image.noise_w)
+        shares = _shares(detection, capture, waveform, windows, sent)
+        found.append(_intervals(detection, shares, waveform, window, n_channels))
+    return tuple(found)
 
 
 def _shares(
-    detection: Detection, capture: RadarCapture, waveform: OfdmWaveform, sent: float
+    detection: Detection,
+    capture: RadarCapture,
+    waveform: OfdmWaveform,
+    windows: tuple[str, ...],
+    sent: float,
 ) -> tuple[float, float]:
     """Errors of a detection's amplitude, relative to it: statistical and systematic."""
-    amplitude = np.sqrt(detection.power_w)
+    amplitude, bodies = np.sqrt(detection.power_w), capture.propagation.bodies
     if not capture.is_bounded or not amplitude > 0:
         return 0.0, np.inf
-    near = [b for b in capture.propagation.bodies if _is_near(b, detection, waveform)]
-    found = []
-    for each in zip(*map(_errors, near), strict=True):
-        # No more than its whole error, however strong the detection: a faint body's is not the
-        # others'.
-        own = [
-            min(error / body.amplitude, sent * error / amplitude)
-            for body, error in zip(near, each, strict=True)
-        ]
-        spread = [
-            sent * error / np.sqrt(_cells(body, waveform)) / amplitude
-            for body, error in zip(near, each, strict=True)
-        ]
-        found.append(float(np.linalg.norm([max(own), *spread])))
-    statistical, systematic = found or (0.0, 0.0)
-    return statistical, systematic if all(b.is_bounded for b in near) else np.inf
-
-
-def _cells(body: BodyEcho, waveform: OfdmWaveform) -> float:
-    """Range cells over which a body is spread."""
-    nearest, farthest = body.ranges_m
-    return max((farthest - nearest) / waveform.range_cell_m, 1.0) if farthest < np.inf else 1.0
-
-
-def _is_near(body: BodyEcho, detection: Detection, waveform: OfdmWaveform) -> bool:
-    """Whether range and rate, as they wrap, are among a body's."""
-    pairs = (
-        (detection.range_m, body.ranges_m, waveform.range_cell_m, waveform.max_range_m),
-        (
-            detection.range_rate_m_per_s,
-            body.range_rates_m_per_s,
-            waveform.velocity_cell_m_per_s,
-            2 * waveform.max_velocity_m_per_s,
-        ),
+    found = errors_in_cell(bodies, detection, waveform, windows)
+    is_bounded = all(body.is_bounded for body in bodies)
+    return (
+        float(sent * found.statistical / amplitude),
+        float(sent * found.systematic / amplitude) if is_bounded else np.inf,
     )
-    for value, (least, most), cell, period in pairs:
-        if np.isfinite(value) and most < np.inf:
-            beyond = (value - least + _CELLS * cell) % period
-            if beyond > most - least + 2 * _CELLS * cell:
-                return False
-    return True
 
 
 def _intervals(
@@ -163,10 +144,8 @@ def _intervals(
         return [by_share * r if 0 < r < np.inf else r for r in shares]
 
     d, half_c = detection, C_M_PER_S / 2
-    level_dbm = 10 * np.log10(d.power_w * 1e3) if d.power_w > 0 else np.nan
-    level_noise_db = 10 / np.log(10) * d.power_error_w / d.power_w if d.power_w > 0 else np.nan
     return DetectionIntervals(
-        level_dbm=of(level_dbm, level_noise_db, *map(_in_db, shares)),
+        level_dbm=_level(detection, shares),
         range_m=of(d.range_m, d.range_error_m, *(half_c * delay_s for delay_s, _ in errors_s)),
         range_rate_m_per_s=of(
             d.range_rate_m_per_s,
@@ -178,8 +157,12 @@ def _intervals(
     )
 
 
-def _in_db(share: float) -> float:
-    """Change of a level by a share of its amplitude, the larger of both directions."""
-    if not share:
-        return 0.0
-    return float(-20 * np.log10(1 - share)) if share < 1 else np.inf
+def _level(detection: Detection, shares: tuple[float, float]) -> Interval:
+    """As received by one antenna, dBm."""
+    power_w = detection.power_w
+    if not power_w > 0:
+        return Interval(float("nan"))
+    noise_db = float(10 / np.log(10) * detection.power_error_w / power_w)
+    return level_interval(
+        float(10 * np.log10(power_w * 1e3)), *shares, np.inf if np.isnan(noise_db) else noise_db
+    )

@@ -1,11 +1,12 @@
 """Numbers of the radar report: waveform, link budget, detections beside the truth."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy import constants
 
-from hardware.formatting import number, quantity_text, si, with_error
+from hardware.formatting import number, quantity_text, si
 from hardware.radar import Detection
 from twin.accuracy import Interval
 from twin.radar.detection_count import window_loss
@@ -177,9 +178,7 @@ def _targets(evaluation: RadarEvaluation) -> list[dict[str, str]]:
 def _off(measured: Interval, true: float, unit: str) -> str:
     """What was measured less the truth, with its interval."""
     off = measured.value - true
-    return (
-        "not measured" if np.isnan(off) else with_error(off, measured.half_width, unit, sign=True)
-    )
+    return "not measured" if np.isnan(off) else replace(measured, value=off).text(unit, sign=True)
 
 
 def _further(evaluation: RadarEvaluation) -> list[str]:

@@ -4,6 +4,7 @@ The levels of bodies that bounds and errors are relative to; sharp edges, waves 
 further reflections and bodies to which no path is traced.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -21,6 +22,7 @@ from twin.radar.propagation.decisions import (
     on_round_obstacles,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
+from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
     BodyEcho,
@@ -30,6 +32,7 @@ from twin.radar.propagation.facets.convergence import (
     spans_by,
     summed_by,
 )
+from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
 from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.physical_optics import (
     Scattered,
@@ -73,12 +76,32 @@ class BodyLevels:
         """Of each effect that is left out."""
         return OF_TOLERANCE * self.tolerance
 
-    def bodies(self, error: Array, left_out: Array, *, is_bounded: bool) -> tuple[BodyEcho, ...]:
+    def bodies(
+        self,
+        error: Array,
+        left_out: Array,
+        profiles: Sequence[BodyProfile],
+        *,
+        is_bounded: bool,
+    ) -> tuple[BodyEcho, ...]:
         """With their errors and bounds of what is left out, the latter relative."""
-        limits = self.tolerance, self.floor
         return body_echoes(
-            self.names, self.echo, error, *limits, left_out, self.spans, is_bounded=is_bounded
+            self.names,
+            self.echo,
+            error,
+            self.tolerance,
+            self.floor,
+            left_out,
+            self.spans,
+            profiles,
+            is_bounded=is_bounded,
         )
+
+    def profiles(
+        self, echoes: Contributions, errors: ErrorsByRange, wave: OfdmWaveform
+    ) -> tuple[BodyProfile, ...]:
+        """Where in range and rate the echoes of bodies and their errors are."""
+        return body_profiles(self.of_object[echoes.object], len(self.names), echoes, errors, wave)
 
     def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "BodyLevels":
         """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""

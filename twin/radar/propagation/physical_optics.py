@@ -19,6 +19,8 @@ from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges
 from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
+from twin.radar.propagation.facets.error_budget import bin_m
+from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
 from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
@@ -51,14 +53,15 @@ _FREQUENCIES = 5, 64  # over the band, at which a body's echo is summed, at leas
 @dataclass(frozen=True, eq=False)
 class Scattered:
     """Contributions of every object that scatters; the ``body`` of every object, -1 for others; the
-    estimated error of every body's echo, without losses; the ``choice`` of reflections, None where
-    they are given; the frame for later ones to reuse, and the share of contributions that was
-    reused from an earlier frame.
+    estimated error of every body's echo, without losses, and where along the range it is; the
+    ``choice`` of reflections, None where they are given; the frame for later ones to reuse, and the
+    share of contributions that was reused from an earlier frame.
     """
 
     contributions: Contributions
     body: NDArray[np.int32]
     error: Array
+    by_range: ErrorsByRange
     choice: ReflectionChoice | None = None
     traced: TracedFrame | None = None
     reused_share: float = 0.0
@@ -85,7 +88,12 @@ def scattered(
     if not (prepared.worth & (body >= 0)).any():
         traced = TracedFrame(radar, str(fidelity.radar)) if keep else None
         return Scattered(
-            Contributions.none(), body, np.zeros(body.max(initial=-1) + 1), None, traced
+            Contributions.none(),
+            body,
+            np.zeros(body.max(initial=-1) + 1),
+            ErrorsByRange.none(bin_m(wave_numbers(radar, 0.0))),
+            None,
+            traced,
         )
     half_s = radar.burst_s / 2 if followed_s is None else followed_s
     bodies = scatterers(prepared, radar.antenna, body, half_s)
@@ -113,7 +121,9 @@ def scattered(
     traced = TracedFrame(radar, str(fidelity.radar), setting, echoes) if keep else None
     contributions = Contributions.concatenate(echoes.contributions)
     share = echoes.n_reused / max(len(contributions), 1)
-    return Scattered(contributions, body, echoes.error, echoes.choice, traced, share)
+    return Scattered(
+        contributions, body, echoes.error, echoes.by_range, echoes.choice, traced, share
+    )
 
 
 def _of_any(objects: NDArray[np.bool_], body: NDArray[np.int32]) -> NDArray[np.bool_]:

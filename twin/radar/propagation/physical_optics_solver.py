@@ -109,7 +109,11 @@ def echoes(
     )
     unbounded = _unbounded(fidelity, prepared)
     levels = levels.with_edges(of_edges, radar.ofdm)
-    bodies = levels.bodies(of_bodies.error * loss_of(radar), left_out, is_bounded=not unbounded)
+    loss = loss_of(radar)
+    profiles = levels.profiles(
+        Contributions.concatenate([surfaces, of_edges]), of_bodies.by_range.times(loss), radar.ofdm
+    )
+    bodies = levels.bodies(of_bodies.error * loss, left_out, profiles, is_bounded=not unbounded)
     every = Contributions.concatenate([paths, diffuse, surfaces])
     return Propagation(
         every,

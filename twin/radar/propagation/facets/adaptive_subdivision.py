@@ -116,7 +116,8 @@ def subdivided_adaptively(
             share = current.echoes.strength / budget.allowed(current.body)
             done |= ~largest(np.where(done, 0.0, share), MOST_TRIANGLES // 4)
         doubt = np.where(seen.is_doubtful, _MIXED * current.echoes.strength, 0.0)
-        budget.accept(current.triangles, seen.error + doubt, done)
+        error = seen.error + doubt
+        budget.accept(current.triangles, error, done, current.echoes.length_m)
         for part, is_final in ((seen.leaves, done), (seen.fragments, done[seen.row])):
             left = np.flatnonzero(is_final & (part.weight != 0))
             if len(left):

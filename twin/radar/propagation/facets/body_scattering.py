@@ -164,6 +164,7 @@ def scattered_by(
         coarse,
         earlier_echoes=earlier_echoes,
         tally=tally and tally.fine(),
+        counts_ranges=True,
     )
     budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
     parts = search.leaves(whole, tubes, budget, _DEEPEST)
@@ -182,11 +183,12 @@ def scattered_by(
         parts = [*kept, *search.leaves(*search.part_of(*found), budget, _DEEPEST)]
         parts = [part for part in parts if len(part.weight)]
     leaves = list(_portioned([_worth_it(part, budget) for part in parts]))
-    error = budget.accepted
+    error, by_range = budget.accepted, budget.by_range
     if valid is not None:
         if (fell := _fell(valid, budget.level, tolerance)).any():
             return without(fell)
         error = np.hypot(error, valid.error)
+        by_range = by_range.and_of(valid.by_range)
     contributions = [contributions_of(context, scatterers, part) for part in leaves]
     return TracedEchoes(
         contributions=tuple(contributions)
@@ -195,6 +197,7 @@ def scattered_by(
         sums=tuple(map(Sums.of, leaves)) if with_footprints else (),
         is_direct=tuple(part.triangles.waves is None for part in leaves),
         error=error,
+        by_range=by_range,
         level=budget.level,
         footprints=tuple(search.footprints or ()),
         spacing_m=(budget.spacing_m, spacing_m),

@@ -10,7 +10,7 @@ at all. Therefore the estimate is three times the sum: 95 % of bodies' errors ar
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scipy.constants import speed_of_light
 
 from hardware.waveform import OfdmWaveform
 from twin.radar.propagation.facets.band_sums import band_sums
+from twin.radar.propagation.facets.body_profile import BodyProfile
 from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.synthesis import Contributions
 
@@ -27,8 +28,8 @@ Complex = NDArray[np.complex128]
 _FREQUENCIES = 17  # over the band
 _NAMED = 6  # bodies in a remark
 _SURE = 6.0  # estimates over the tolerance from which on the error itself most likely exceeds it
-_WITHIN = 3.0  # over the root of the sum of squares: 95 % of bodies' errors are less
-_LEAST = 3e-3  # of any echo, by float32 rays and by what contributions are off over the band
+WITHIN = 3.0  # over the root of the sum of squares: 95 % of bodies' errors are less
+LEAST = 3e-3  # of any echo, by float32 rays and by what contributions are off over the band
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class BodyEcho:
     left out (`Propagation.decisions`); ``is_bounded``: whether that holds all that was left out,
     which fixed knobs do without a bound. ``amplitude``, ``level_amplitude``: of the echo, and of
     the level that errors are relative to, received over sent. ``ranges_m``,
-    ``range_rates_m_per_s``: least and most of its contributions.
+    ``range_rates_m_per_s``: least and most of its contributions; ``profile``: where between them
+    echo and errors are.
     """
 
     objects: tuple[str, ...]
@@ -55,6 +57,7 @@ class BodyEcho:
     ranges_m: tuple[float, float] = (-np.inf, np.inf)
     range_rates_m_per_s: tuple[float, float] = (-np.inf, np.inf)
     is_bounded: bool = True
+    profile: BodyProfile | None = field(default=None, compare=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -156,6 +159,7 @@ def body_echoes(
     floor: float,
     left_out: Array | None = None,
     spans: Array | None = None,
+    profiles: Sequence[BodyProfile] = (),
     *,
     is_bounded: bool = True,
 ) -> tuple[BodyEcho, ...]:
@@ -175,6 +179,8 @@ def body_echoes(
         Bound of what was left out of each echo, relative to the level that errors are relative to.
     spans
         As `spans_by` gives them, where known.
+    profiles
+        Of every body, where known.
     is_bounded
         Whether ``left_out`` holds all that was left out.
     """
@@ -188,9 +194,7 @@ def body_echoes(
         BodyEcho(
             objects=objects[i],
             level_db=float(20 * np.log10(level[i] / strongest)),
-            estimated_error=_LEAST
-            + _WITHIN * float(error[i] / reference[i])
-            + float(systematic[i]),
+            estimated_error=LEAST + WITHIN * float(error[i] / reference[i]) + float(systematic[i]),
             tolerance=tolerance,
             systematic=float(systematic[i]),
             amplitude=float(level[i]),
@@ -198,6 +202,7 @@ def body_echoes(
             ranges_m=(float(spans[i, 0, 0]), float(spans[i, 0, 1])),
             range_rates_m_per_s=(float(spans[i, 1, 0]), float(spans[i, 1, 1])),
             is_bounded=is_bounded,
+            profile=profiles[i] if profiles else None,
         )
         for i in np.argsort(-level, kind="stable")
         if level[i] > 0

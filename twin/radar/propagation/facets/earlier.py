@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.error_budget import Leaves
+from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
 from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.triangles import origin_of
@@ -166,8 +167,9 @@ class TracedEchoes:
         In parts, those of an earlier frame first.
     sums, is_direct
         Of each part but these; whether it is lit from images rather than by ray tubes.
-    error, level
-        Accepted error of every body, and the level that it is relative to.
+    error, by_range, level
+        Accepted error of every body, where along the range it is, and the level that it is relative
+        to.
     footprints
         Of ray tubes.
     spacing_m
@@ -182,6 +184,7 @@ class TracedEchoes:
     sums: tuple[Sums, ...]
     is_direct: tuple[bool, ...]
     error: Array
+    by_range: ErrorsByRange
     level: Array
     footprints: tuple[Footprints, ...]
     spacing_m: tuple[float, float]

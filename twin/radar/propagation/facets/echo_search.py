@@ -238,7 +238,8 @@ class Search:
 
         def keep(echoes: Portions) -> None:
             for part in echoes:
-                budget.accept(part.lit, part.error, np.ones(len(part.root), dtype=bool))
+                whole = np.ones(len(part.root), dtype=bool)
+                budget.accept(part.lit, part.error, whole, part.echoes.length_m)
                 kept.append(part.to_keep())
 
         root_tubes: RootTubes | None = tubes

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.band_sums import band_sums
 from twin.radar.propagation.facets.currents import Echoes
+from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
 from twin.radar.propagation.facets.reflections import Tally
 from twin.radar.propagation.facets.triangles import Triangles
 
@@ -22,6 +23,8 @@ Complex = NDArray[np.complex128]
 WEAKEST = 0.01
 _LEFT_OUT = 0.1  # of a body's tolerance: triangles that together add less are left out
 _OCTAVES = 40  # classes of strength, a factor of two each
+_BINS_OF_A_CELL = 2  # of a range cell of the band, in which errors are summed
+_EVERYTHING_M = 1e12  # likewise of a band without width
 _FALLEN = 2.0  # factor by which levels fall, and errors exceed, from which a pass is repeated
 
 
@@ -67,7 +70,8 @@ class Budget:
     earlier frame. ``spacing_m``: size of the parts of facets between the rays that look for
     occluders; ``earlier_spacing_m``: that of an earlier frame, None if it is to be chosen. What is
     added and accepted is tallied by reflections in ``tally``, if there is one. ``counts_errors``:
-    otherwise only levels are wanted, and no ray is sent for the sake of errors.
+    otherwise only levels are wanted, and no ray is sent for the sake of errors. ``by_range``: the
+    accepted errors by range, if ``counts_ranges``.
     """
 
     def __init__(
@@ -81,9 +85,12 @@ class Budget:
         earlier_echoes: Complex | None = None,
         tally: Tally | None = None,
         counts_errors: bool = True,
+        *,
+        counts_ranges: bool = False,
     ) -> None:
         self.tolerance = tolerance
         self.counts_errors = counts_errors
+        self.counts_ranges = counts_ranges
         self._weakest = weakest
         self._wave_numbers = wave_numbers
         self._floor = floor
@@ -95,6 +102,7 @@ class Budget:
         self.earlier_spacing_m: float | None = None
         self.spacing_m = 0.0
         self._accepted = np.zeros(n_bodies)  # errors squared
+        self.by_range = ErrorsByRange.none(bin_m(wave_numbers))
         self._undivided = np.zeros(n_bodies)  # likewise, part of these
         self.level = np.zeros(n_bodies)
         self.direct = np.zeros_like(self._echo_sums)
@@ -128,10 +136,12 @@ class Budget:
             self._weakest,
             self._earlier_echoes,
             self.tally and self.tally.fine(~bodies),
+            counts_ranges=self.counts_ranges,
         )
         again._echo_sums[~bodies] = self._echo_sums[~bodies]
         again.pending[~bodies] = 0
         again._accepted[~bodies] = self._accepted[~bodies]
+        again.by_range = self.by_range.of(~bodies)
         again._undivided[~bodies] = self._undivided[~bodies]
         again._most = self.level
         again.earlier_spacing_m = self.earlier_spacing_m or self.spacing_m or None
@@ -172,10 +182,17 @@ class Budget:
         if self.tally is not None:
             self.tally.add(leaves.triangles, echo, length_m)
 
-    def accept(self, lit: Triangles, error: Array, which: NDArray[np.bool_]) -> None:
-        """Add the errors of triangles that are not divided further, affordable or not."""
+    def accept(
+        self, lit: Triangles, error: Array, which: NDArray[np.bool_], length_m: Array
+    ) -> None:
+        """Add the errors of triangles that are not divided further, affordable or not;
+        ``length_m``: of the path of each.
+        """
         self._highest = np.maximum(self._highest, self.level)
-        self._accepted += np.bincount(lit.body[which], error[which] ** 2, len(self._accepted))
+        body, square = lit.body[which], error[which] ** 2
+        self._accepted += np.bincount(body, square, len(self._accepted))
+        if self.counts_ranges:
+            self.by_range = self.by_range.plus(body, length_m[which], square)
         if self.tally is not None:
             self.tally.add_errors(lit, np.where(which, error, 0.0))
 
@@ -238,7 +255,24 @@ class Budget:
         some = np.flatnonzero(run)
         self._accepted[some] += lost[some, first_negligible[some]]
         is_negligible: NDArray[np.bool_] = octave >= first_negligible[body]
+        if self.counts_ranges:
+            self._spread(body, np.where(is_negligible, np.abs(echo) ** 2, 0.0), length_m, lost, run)
         return is_negligible
+
+    def _spread(
+        self,
+        body: NDArray[np.intp],
+        power: Array,
+        length_m: Array,
+        lost: Array,
+        run: NDArray[np.integer],
+    ) -> None:
+        """Errors by what is left out, over the ranges of it as its power is."""
+        first = np.minimum(_OCTAVES - run, _OCTAVES - 1)
+        square = np.where(run > 0, lost[np.arange(len(lost)), first], 0.0)
+        whole = np.bincount(body, power, len(square))
+        share = np.divide(square, whole, out=np.zeros_like(square), where=whole > 0)
+        self.by_range = self.by_range.plus(body, length_m, power * share[body])
 
     def affordable(
         self, body: NDArray[np.intp], error: Array, share: float | Array
@@ -254,3 +288,9 @@ class Budget:
         is_affordable = np.empty(len(body), dtype=bool)
         is_affordable[order] = total - before[body[order]] <= most[body[order]]
         return is_affordable
+
+
+def bin_m(wave_numbers: Array) -> float:
+    """Width of the bins of path lengths in which errors are summed, m."""
+    span = float(np.ptp(wave_numbers))
+    return 2 * np.pi / span / _BINS_OF_A_CELL if span > 0 else _EVERYTHING_M

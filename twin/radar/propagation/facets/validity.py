@@ -36,6 +36,7 @@ from twin.radar.propagation.facets.earlier import (
     TracedEchoes,
     TracedFrame,
 )
+from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
 from twin.radar.propagation.facets.front_facets import lit_facets, portions
 from twin.radar.propagation.facets.reflections import Bounds
 from twin.radar.propagation.facets.scatterers import Scatterers
@@ -63,8 +64,8 @@ _MOVABLE = (ScatteringModel.OPTICS, ScatteringModel.OBSTACLE)
 
 @dataclass(frozen=True, eq=False)
 class Valid:
-    """Valid contributions and echoes of an earlier frame, and per body the accepted error and the
-    level that it is relative to.
+    """Valid contributions and echoes of an earlier frame, and per body the accepted error, by range
+    too, and the level that it is relative to.
 
     To be traced anew, by image and facet (n_images, n_facets): ``paths`` between them, and ray
     ``tubes`` that begin there. ``spacing_m`` as in `TracedEchoes`; ``left_out`` of the present
@@ -75,6 +76,7 @@ class Valid:
     contributions: Contributions
     sums: Sums
     error: Array
+    by_range: ErrorsByRange
     level: Array
     paths: Mask
     tubes: Mask
@@ -135,7 +137,7 @@ def still_valid(
     sums = Sums.concatenate(list(map(holding, echoes.sums, echoes.is_direct)))
     is_direct = now.reachable & scatterers.counts & (before.body[before.owner] >= 0)
     direct_paths = np.nonzero(is_direct & ~paths)[1], np.nonzero(is_direct)[1]
-    error, level, left_out = _of_bodies(before, echoes, now, changed, direct_paths, sums)
+    error, by_range, level, left_out = _of_bodies(before, echoes, now, changed, direct_paths, sums)
     contributions = list(map(holding, echoes.contributions, echoes.is_direct))
     total = sum(map(len, echoes.contributions))
     if total > _FEW and sum(map(len, contributions)) < _WORTH_KEEPING * total:
@@ -144,6 +146,7 @@ def still_valid(
         contributions=Contributions.concatenate(contributions),
         sums=sums,
         error=error,
+        by_range=by_range,
         level=level,
         paths=paths,
         tubes=tubes,
@@ -307,9 +310,9 @@ def _of_bodies(
     changed: Mask,
     direct_paths: tuple[Indices, Indices],
     valid_sums: Sums,
-) -> tuple[Array, Array, Bounds | None]:
-    """Accepted errors of the valid echoes of the present bodies, the highest level that they are
-    relative to, and what was left out of them.
+) -> tuple[Array, ErrorsByRange, Array, Bounds | None]:
+    """Accepted errors of the valid echoes of the present bodies, the same by range, the highest
+    level that they are relative to, and what was left out of them.
 
     Of a body's squared error that share counts which is valid of its direct paths, of its
     triangles, or of their power, whichever is largest; a body whose echo was left out has direct
@@ -338,4 +341,4 @@ def _of_bodies(
     np.maximum.at(level, pairs[:, 0], echoes.level[pairs[:, 1]])
     choice = echoes.choice
     left_out = None if choice is None else choice.left_out.of(pairs, len(error))
-    return np.sqrt(error), level, left_out
+    return np.sqrt(error), echoes.by_range.renumbered(pairs, most), level, left_out
