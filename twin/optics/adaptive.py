@@ -173,8 +173,8 @@ class LightWithin:
     light
         Of the cells.
     indirect_over
-        Bound of indirect light over the permitted error, root mean square over the cells: as its
-        paths say, where they say that it matters, else that by which it was decided.
+        Bound of indirect light over the permitted error, root mean square over the cells: that by
+        which it was decided, or what its paths say, where that is less and still matters.
     indirect_taken
         Whether it was traced.
     left_out
@@ -250,7 +250,7 @@ def gather_within(
     if taken:
         limit = np.maximum(alike(light.reshape(shape)).ravel(), 1e-150)
         known = float(np.sqrt(np.mean(((indirect + 2 * np.sqrt(variances[-1])) / limit) ** 2)))
-        over = known if known > LEFT_OUT else over
+        over = min(known, over) if known > LEFT_OUT else over
     error = np.sqrt(np.sum(variances, axis=0))
     return LightWithin(
         CellLight(*(x.reshape(shape) for x in (light - indirect, indirect, error))),
