@@ -24,7 +24,7 @@ from hardware.patterns import PatternSet
 from tests.physics.radar_worlds import RADAR, thing, world
 from twin import cli
 from twin.detector import FrontEnd
-from twin.fidelity import PRESETS, Fidelity
+from twin.fidelity import PRESETS, Fidelity, Tolerance
 from twin.progress import Stages
 from twin.radar import load_radar
 from twin.radar.propagation.solvers import trace as find_echoes
@@ -48,6 +48,7 @@ from twin.trade.camera import (
     measure_light,
     reference_level,
 )
+from twin.trade.measurement import RADAR_KNOBS
 from twin.trade.meter import measure_cost
 from twin.trade.pareto import stage_names
 from twin.trade.radar import _reference, measure_radar
@@ -82,7 +83,7 @@ def no_longer_than_needed(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("twin.trade.radar.measure_cost", once)
 
 
-def once(work: Callable[[int], T]) -> tuple[Cost, list[T]]:
+def once(work: Callable[[int], T], *, least: int = 1) -> tuple[Cost, list[T]]:
     """Neither warm nor repeated."""
     start = time.perf_counter()
     found = work(1)
@@ -107,7 +108,7 @@ def measured(small: tuple[Path, Path], tmp_path_factory) -> tuple[Trade, Path]:
         patch.setattr("twin.trade.camera._LEAST_PATHS", 2**16)  # 1024 for each of 64 cells
         no_longer_than_needed(patch)
         patch.setattr("twin.trade.radar._FINEST", Fidelity(radar_tolerance=0.02))
-        patch.setattr("twin.trade.radar._LEVELS", radar_levels._LEVELS[:-1])  # the finest is slow
+        patch.setattr("twin.trade.radar._LEVELS", radar_levels._LEVELS[:-2])  # these are slow
         patch.setattr("twin.trade.radar._MOST_TERMS", 4e7)
         patch.setattr("twin.trade.bodies._MOST_POINTS", 3_000_000)
         seen, stage = [], Stages.stage
@@ -330,6 +331,37 @@ def test_brute_force_is_the_plate_of_the_textbook() -> None:
     assert errors_of(bodies, found, radar, 0.01)[0].error < 0.01
 
 
+def test_the_default_has_a_row_that_tells_what_all_rows_leave_out(small, monkeypatch) -> None:
+    """A plate of 0.3 m whose half a nearer one hides: only the default has the waves round that and
+    of both edges, as the reference has, and is nearer to it than the same tolerance without them.
+    """
+    no_longer_than_needed(monkeypatch)
+    monkeypatch.setattr("twin.trade.bodies._MOST_POINTS", 0)
+    front = np.array([[4, 0, -0.3], [4, 0.4, -0.3], [4, 0.4, 0.3], [4, 0, 0.3]], dtype=float)
+    back = np.array([[8, y, z] for y, z in ((-0.15, -0.15), (0.15, -0.15), (0.15, 0.15))])
+    back = np.vstack([back, [[8, -0.15, 0.15]]]) + [0, 0.1, 0]
+    faces = [[0, 1, 2], [0, 2, 3]]
+    scene = world(thing("front", front, faces), thing("back", back, faces))
+    rows = [m for m in measure(scene, load_radar(small[1])) if m.bodies]
+    named = {m.name.rsplit(", synthesis", 1)[0]: m for m in rows}
+    default, plain = (
+        named["optics, tolerance 0.1, as run: all by bounds"],
+        named["optics, tolerance 0.1"],
+    )
+    knobs = Tolerance().knobs()
+    assert default.knobs == {
+        **{name: getattr(knobs, name) for name in RADAR_KNOBS},
+        "radar": "optics",
+    }
+    assert default.leaves_out == "what is bounded by 1 % of an echo, each effect"
+    assert plain.leaves_out == (
+        "reflections beyond 3 at bodies, 1 at surfaces; edges; waves round obstacles to bodies"
+    )
+    behind = {m.name: {e.body: e.error for e in m.bodies}["back"] for m in (default, plain)}
+    assert behind[default.name] < behind[plain.name] / 2
+    assert default.error < plain.error / 2
+
+
 def measure(scene: Scene, radar) -> list[LevelMeasurement]:
     return measure_radar(scene, radar, 0, silent)
 
@@ -421,9 +453,7 @@ def test_the_choice_joins_the_models(measured: tuple[Trade, Path]) -> None:
     without = replace(found, choices={k: found.choices[k] for k in ("light", "noise")})
     usual = Fidelity()
     assert without.fidelity == found.fidelity.with_(
-        radar=usual.radar,
-        radar_tolerance=usual.radar_tolerance,
-        nufft_tolerance=usual.nufft_tolerance,
+        **{name: getattr(usual, name) for name in RADAR_KNOBS},
     )
 
 

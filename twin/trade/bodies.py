@@ -68,7 +68,7 @@ def reference_bodies(
             sampled[i] = level[i] > 0 and points_of(prepared, members) <= _MOST_POINTS
     if sampled.any():
         # What comes round obstacles stays in the reference.
-        alone = replace(fidelity, radar_bounces=1, radar_images=0, radar_shadowed=0)
+        alone = replace(fidelity, radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0)
         direct = trace(scene, radar, fidelity=alone, seed=seed)
         own = echoes_by_body(direct, names, radar, frequencies)
         for i in np.flatnonzero(sampled):

@@ -11,6 +11,16 @@ from twin.fidelity import Fidelity
 #: channel.
 Model = Literal["light", "noise", "radar"]
 
+#: Settings that the radar's levels vary.
+RADAR_KNOBS = (
+    "radar",
+    "radar_tolerance",
+    "radar_bounces",
+    "radar_images",
+    "radar_edges",
+    "radar_shadowed",
+    "nufft_tolerance",
+)
 #: Settings that each model's levels vary.
 _KNOBS: dict[Model, tuple[str, ...]] = {
     "light": (
@@ -22,7 +32,7 @@ _KNOBS: dict[Model, tuple[str, ...]] = {
         "light_tolerance_relative",
     ),
     "noise": ("noise",),
-    "radar": ("radar", "radar_tolerance", "nufft_tolerance"),
+    "radar": RADAR_KNOBS,
 }
 
 
@@ -59,7 +69,8 @@ class LevelMeasurement:
     ``error`` is in ``unit``, ``over_noise`` in units of the sensor's own noise; both contain the
     error of the reference itself. ``detail`` holds further figures by name, ``bodies`` the errors
     of the radar's strongest bodies. A level without a ``fidelity`` is for comparison only: it is
-    not one of the twin's, and never chosen.
+    not one of the twin's, and never chosen. ``leaves_out``: what a level of the radar has no model
+    of, in words.
     """
 
     model: Model
@@ -72,6 +83,7 @@ class LevelMeasurement:
     detail: dict[str, float] = field(default_factory=dict)
     note: str = ""
     bodies: tuple[BodyError, ...] = ()
+    leaves_out: str = ""
 
     @property
     def knobs(self) -> dict[str, Any]:

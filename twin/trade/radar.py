@@ -1,8 +1,9 @@
 """Fidelity levels of the radar: the solver, and the tolerances of solver and synthesis.
 
-The reference is physical optics at a finer tolerance, the most accurate solution for the scene's
-meshes; whatever cheaper models leave out, or declare differently, is their error. Surface clutter
-is left out: it is one realisation of a random process, not an error.
+The reference is physical optics at a finer tolerance with edges and waves round obstacles, the most
+accurate solution for the scene's meshes; whatever cheaper models leave out, or declare differently,
+is their error. Surface clutter is left out of all: it is one realisation of a random process, not
+an error.
 """
 
 from dataclasses import dataclass, replace
@@ -11,33 +12,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.fidelity import PRESETS, Fidelity
+from hardware.formatting import number
+from twin.fidelity import PRESETS, Fidelity, Tolerance
 from twin.progress import OpenStage
 from twin.radar import RadarDesign
 from twin.radar.acquisition import contributions
+from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of, trace
 from twin.radar.synthesis import Contributions, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.bodies import Bodies, errors_of, reference_bodies
-from twin.trade.measurement import Cost, LevelMeasurement
+from twin.trade.measurement import RADAR_KNOBS, Cost, LevelMeasurement
 from twin.trade.meter import measure_cost
 
 Complex = NDArray[np.complex128]
 
 #: Reflections at bodies and at large surfaces as many as bounds of what they add ask for.
 _BY_BOUNDS = Fidelity(radar_bounces=None, radar_images=None)
+#: What `twin run` takes without knobs, less clutter.
+_AS_RUN = Tolerance().knobs().with_(radar="optics")
 #: Solver, and tolerances of the synthesis.
 _LEVELS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(radar="targets"), (1e-6,)),
     (Fidelity(radar="paths"), (1e-6,)),
     (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-3,)),
     (Fidelity(), (1e-3, 1e-6, 1e-10)),
+    (_AS_RUN, (1e-6,)),
     (_BY_BOUNDS.with_(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
 )
 _REFERENCE = "reference channel"
-_FINEST = _BY_BOUNDS.with_(radar_tolerance=0.01)
+#: Edges and cells as numbers, which are computed however faint they are.
+_FINEST = _BY_BOUNDS.with_(
+    radar_tolerance=0.01,
+    radar_edges=PRESETS["reference"].radar_edges,
+    radar_shadowed=PRESETS["reference"].radar_shadowed,
+)
 _ROWS, _COLUMNS = 64, 32  # of the bins compared: edges of band and interval, the rest at random
 _MOST_TERMS = 2e8  # of the direct sum, some seconds: of many echoes fewer bins are compared
 
@@ -84,12 +95,17 @@ def measure_radar(
             return trace(scene, radar, fidelity=finder, seed=seed + 1 + run)
 
         with stage(_tracing(finder)):
-            tracing_cost, propagations = measure_cost(trace_echoes)
+            tracing_cost, propagations = measure_cost(trace_echoes, least=_timed_runs(finder))
         for tolerance in tolerances:
             with stage(_synthesis(finder, tolerance)):
                 level = replace(finder, nufft_tolerance=tolerance)
                 measured.append(_measure_level(radar, level, tracing_cost, propagations[0], bins))
     return measured
+
+
+def _timed_runs(finder: Fidelity) -> int:
+    """Of what takes seconds one beside the warm-up."""
+    return 1 if finder.radar_bounces is None else 3
 
 
 def _reference(scene: Scene, radar: RadarDesign, seed: int) -> _ReferenceBins:
@@ -140,7 +156,23 @@ def _measure_level(
         bodies=errors_of(bins.bodies, propagation, radar, level.radar_tolerance)
         if solver_of(level).has_tolerance
         else (),
+        leaves_out=_leaves_out(level),
     )
+
+
+def _leaves_out(level: Fidelity) -> str:
+    """What a level has no model of, in words; clutter is in none."""
+    if level.radar == "targets":
+        return "all meshes: declared points alone"
+    silent = ["edges"] * (level.radar_edges == 0)
+    silent += ["waves round obstacles to bodies"] * (level.radar_shadowed == 0)
+    if not solver_of(level).has_tolerance:
+        return "; ".join(["bodies other than by tables of their far fields", *silent])
+    if level.radar_bounces is None:
+        share = number(100 * OF_TOLERANCE * level.radar_tolerance, 2)
+        return "; ".join([f"what is bounded by {share} % of an echo, each effect", *silent])
+    beyond = f"reflections beyond {level.radar_bounces} at bodies, {level.radar_images} at surfaces"
+    return "; ".join([beyond, *silent])
 
 
 def _tracing(finder: Fidelity) -> str:
@@ -158,8 +190,10 @@ def _name(level: Fidelity) -> str:
 def _solver_name(level: Fidelity) -> str:
     if not solver_of(level).has_tolerance:
         return str(level.radar)
-    by_bounds = ", reflections by bounds" if level.radar_bounces is None else ""
-    return f"{level.radar}, tolerance {level.radar_tolerance:g}{by_bounds}"
+    name = f"{level.radar}, tolerance {level.radar_tolerance:g}"
+    if level.radar_edges is None:
+        return f"{name}, as run: all by bounds"
+    return f"{name}, reflections by bounds" if level.radar_bounces is None else name
 
 
 def _echoes(propagation: Propagation, radar: RadarDesign) -> Contributions:
@@ -193,5 +227,4 @@ def _sampled(bins: _ReferenceBins) -> Any:
 
 
 def _same(preset: Fidelity, level: Fidelity) -> bool:
-    knobs = ("radar", "radar_tolerance", "nufft_tolerance")
-    return preset == replace(preset, **{name: getattr(level, name) for name in knobs})
+    return preset == replace(preset, **{name: getattr(level, name) for name in RADAR_KNOBS})

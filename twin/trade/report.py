@@ -45,7 +45,14 @@ def write_trade(trade: Trade, folder: Path) -> None:
 def print_trade(trade: Trade, console: Console) -> None:
     """The rows of ``trade.md``, the independent check, and the level chosen."""
     table = Table(
-        "", "time", "peak memory", "error, rms", "rms / noise", "median / noise", box=None
+        "",
+        "time",
+        "peak memory",
+        "error, rms",
+        "rms / noise",
+        "median / noise",
+        "leaves out",
+        box=None,
     )
     table.title = f"{trade.scene}, {trade.system}, {trade.radar or 'no radar'}"
     for model, title in _MODELS.items():
@@ -83,10 +90,12 @@ def markdown(trade: Trade) -> Iterator[str]:
         if model not in trade.choices:
             continue
         yield ""
-        yield f"| {title} | time | peak memory | error, rms | rms / noise | median / noise |"
+        last = "leaves out" if model == "radar" else "median / noise"
+        yield f"| {title} | time | peak memory | error, rms | rms / noise | {last} |"
         yield "|---|---|---|---|---|---|"
         for m in _table_levels(trade, model):
-            cells = list(_cells(trade, m))
+            *cells, median, leaves_out = _cells(trade, m)
+            cells.append(leaves_out if model == "radar" else median)
             if _is_choice(trade, m):
                 cells[0] = f"**{cells[0]}**"
             yield f"| {' | '.join(cells)} |"
@@ -262,7 +271,9 @@ def _table_levels(trade: Trade, model: Model) -> list[LevelMeasurement]:
 
 
 def _is_named(m: LevelMeasurement) -> bool:
-    """A preset, the reference, or something for comparison."""
+    """A preset, the default, the reference, or something for comparison."""
+    if m.fidelity is not None and m.model == "radar" and m.fidelity.radar_edges is None:
+        return True
     return m.fidelity is None or m.name.startswith("reference") or m.name.endswith(")")
 
 
@@ -287,6 +298,7 @@ def _cells(trade: Trade, m: LevelMeasurement) -> tuple[str, ...]:
         error,
         number(m.over_noise),
         "" if median is None else number(median, 2),
+        m.leaves_out,
     )
 
 
@@ -307,6 +319,7 @@ def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
         "error_over_noise": m.over_noise,
         **m.detail,
         **m.knobs,
+        "leaves_out": m.leaves_out,
         "note": m.note,
         "not_converged": "; ".join(e.body for e in m.bodies if not e.is_converged),
     }
