@@ -229,6 +229,28 @@ def _corner(rng: np.random.Generator) -> Case:
     return Case((thing("corner", vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 1]]),), bounces=3)
 
 
+def _hollow(rng: np.random.Generator) -> Case:
+    """Bowl, cup, funnel or half-open box: walls round an opening, with a bottom or not, all of them
+    or all but one.
+    """
+    sides, radius = int(rng.integers(3, 6)), rng.uniform(0.006, 0.015)
+    around = 2 * np.pi * np.arange(sides) / sides + rng.uniform(0, 2 * np.pi)
+    rim = radius * np.stack([0 * around, np.cos(around), np.sin(around)], axis=1)
+    bottom = rim * rng.choice([rng.uniform(0.3, 0.9), 1.0]) + rng.uniform(-0.2, 0.2, 3) * radius
+    bottom[:, 0] = radius * rng.uniform(0.4, 1.5)
+    walls = np.arange(sides - int(rng.random() < 0.3))
+    beside = (walls + 1) % sides
+    faces = [
+        np.stack([walls, beside, sides + beside], axis=1),
+        np.stack([walls, sides + beside, sides + walls], axis=1),
+    ]
+    if rng.random() < 0.7:
+        fan = np.arange(1, sides - 1)
+        faces.append(sides + np.stack([0 * fan, fan, fan + 1], axis=1))
+    vertices = np.vstack([rim, bottom]) @ _turned(rng, 35).T + _around(rng, (0.7, 1.5, 5.0), 0.15)
+    return Case((thing("hollow", vertices, np.vstack(faces)),), bounces=2)
+
+
 def _box(rng: np.random.Generator) -> Case:
     """A box beside a plate."""
     mesh = trimesh.creation.box(rng.uniform(0.01, 0.04, 3))
@@ -292,6 +314,7 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Case]] = {
     "plates": _plates,
     "dihedral": _dihedral,
     "corner": _corner,
+    "hollow": _hollow,
     "box": _box,
     "ball": _ball,
     "near": _near,

@@ -209,7 +209,8 @@ class Search:
         # A tube that one ray represents may also meet other planes than that ray does.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
         error = most * tubes.doubt[row]
-        return TubeEchoes(lit, echoes, tubes.root[row], tubes.is_lit[row], error)
+        rounding = most * tubes.rounding[row]
+        return TubeEchoes(lit, echoes, tubes.root[row], tubes.is_lit[row], error, rounding)
 
     def _divided(self, roots: Triangles, times: int) -> Triangles:
         """Roots divided by four, ``times`` times."""
@@ -238,8 +239,8 @@ class Search:
 
         def keep(echoes: Portions) -> None:
             for part in echoes:
-                whole = np.ones(len(part.root), dtype=bool)
-                budget.accept(part.lit, part.error, whole, part.echoes.length_m)
+                error, whole = np.hypot(part.error, part.rounding), np.ones(len(part.root), bool)
+                budget.accept(part.lit, error, whole, part.echoes.length_m)
                 kept.append(part.to_keep())
 
         root_tubes: RootTubes | None = tubes

@@ -26,7 +26,8 @@ DEEP_ERROR = 0.25
 @dataclass(frozen=True, eq=False)
 class TubeEchoes:
     """Echoes of triangles that ray tubes light, one for each receiver: the ``root`` of the tube,
-    (n,), whether the triangle ``is_lit``, and the possible ``error`` of its echo.
+    (n,), whether the triangle ``is_lit``, and the possible ``error`` of its echo; ``rounding``: the
+    part of the latter that no division lessens, which ``error`` does not hold.
     """
 
     lit: Triangles
@@ -34,6 +35,7 @@ class TubeEchoes:
     root: NDArray[np.integer]
     is_lit: NDArray[np.bool_]
     error: Array
+    rounding: Array
 
     def take(self, rows: NDArray[np.intp]) -> "TubeEchoes":
         """Only some of them, by index."""
@@ -45,6 +47,7 @@ class TubeEchoes:
             self.root[rows],
             self.is_lit[rows],
             self.error[rows],
+            self.rounding[rows],
         )
 
     @property

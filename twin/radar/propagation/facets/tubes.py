@@ -47,6 +47,7 @@ Indices = NDArray[np.integer]
 _SMOOTH_RAD = 0.7
 _STEP_RAD = 3.0
 _DOUBT = 1.0  # relative error of a tube that is represented by one ray: others of its rays may miss
+_ROUNDED = 2e-7  # of the distance from the anchor: float32 shifts borders by two of its steps
 _CURVED = 1.0  # relative error of a tube cut at a border, over that border's curvature
 _MOST_CURVATURE = 0.4
 _ALIKE = 0.9  # cosine between facets of one curved surface
@@ -60,12 +61,14 @@ class Tubes:
     """Ray tubes, each as the triangle that it lights, still without a receiver.
 
     ``root``: number of the part of a facet at which the tube begins; ``doubt``: relative error of
-    its echo; ``is_lit``: whether its triangle is lit, or only near one that is.
+    its echo; ``rounding``: likewise, by the float32 positions of borders that cut it, which no
+    division lessens; ``is_lit``: whether its triangle is lit, or only near one that is.
     """
 
     triangles: Triangles
     root: Indices
     doubt: Array
+    rounding: Array
     is_lit: NDArray[np.bool_]
 
     def take(self, which: NDArray[Any]) -> "Tubes":
@@ -74,7 +77,11 @@ class Tubes:
             return self
         index = np.flatnonzero(which) if which.dtype == bool else which
         return Tubes(
-            self.triangles.take(index), self.root[index], self.doubt[index], self.is_lit[index]
+            self.triangles.take(index),
+            self.root[index],
+            self.doubt[index],
+            self.rounding[index],
+            self.is_lit[index],
         )
 
     @staticmethod
@@ -84,6 +91,7 @@ class Tubes:
             Triangles.concatenate([part.triangles for part in parts]),
             np.concatenate([part.root for part in parts]),
             np.concatenate([part.doubt for part in parts]),
+            np.concatenate([part.rounding for part in parts]),
             np.concatenate([part.is_lit for part in parts]),
         )
 
@@ -91,7 +99,8 @@ class Tubes:
     def from_roots(triangles: Triangles) -> "Tubes":
         """Tubes that begin at these triangles, each a root."""
         count = len(triangles)
-        return Tubes(triangles, np.arange(count), np.zeros(count), np.ones(count, dtype=bool))
+        no_error, is_lit = np.zeros(count), np.ones(count, dtype=bool)
+        return Tubes(triangles, np.arange(count), no_error, no_error, is_lit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +206,31 @@ def _clip(
     inner = sum(INSIDE[1] / np.maximum(np.array(share), 1e-9) for share in at.shares)
     is_clear = (curvature < _MOST_CURVATURE) & ((inner < 1) == alike[3, odd, rows])
     is_clipped[rows] = is_clear
-    some = replace(some, doubt=some.doubt + _CURVED * curvature)
+    some = replace(
+        some,
+        doubt=some.doubt + _CURVED * curvature,
+        rounding=np.hypot(some.rounding, _rounding(scatterers, some.triangles)),
+    )
     row = np.flatnonzero(is_clear)
     if not len(row):
         return None, is_clipped
     # Parts that meet nothing, too: there may be more than this border.
     parts = [_part(context, some, corners, row) for corners in (*at.near, *at.far)]
     return Tubes.concatenate(parts), is_clipped
+
+
+def _rounding(scatterers: Scatterers, tubes: Triangles) -> Array:
+    """Relative errors of the echoes of ray tubes that a border cuts, by its rounded position.
+
+    A border is off by as much all along a flat patch. Errors of tubes add up as independent ones,
+    so each counts more by the square root of how many of its size there are along the patch.
+    """
+    a, b, c = tubes.corners
+    distance_m, area_m2 = host([dr.norm(a), dr.norm(dr.cross(b - a, c - a)) / 2], len(tubes))
+    size_m = np.sqrt(np.maximum(area_m2, 1e-300))
+    patch_m = np.sqrt(scatterers.patch_area_m2[np.array(tubes.face)])
+    along_border = np.sqrt(np.maximum(patch_m / size_m, 1))
+    return np.minimum(_ROUNDED * distance_m / size_m * along_border, 1)
 
 
 def _like(
@@ -255,7 +282,10 @@ def _by_quarters(
     normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = is_hit & (~is_lit | is_other)
-    quarters = Tubes(pieces, np.repeat(tubes.root, 4), np.repeat(tubes.doubt + doubt, 4), is_lit)
+    root, doubt, rounding = (
+        np.repeat(each, 4) for each in (tubes.root, tubes.doubt + doubt, tubes.rounding)
+    )
+    quarters = Tubes(pieces, root, doubt, rounding, is_lit)
     near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [
         _Intersections.of_rays(part.take(which), on[which])
