@@ -124,7 +124,7 @@ class RadarFidelity(Knobs):
         dB at 0.03), of `radar_shadow_db`, or 45 dB, where it counts; 0: on bodies shadows are
         silent and their borders hard, as above. None: up to 1000, of those bodies to whose echo
         they may add more than a tenth of `radar_tolerance`; what is left out is told of every body.
-        Some 4.2 s of CPU time on the yard.
+        A third of the yard's trace.
     radar_table_nodes
         Of a table of physical optics at the level ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
