@@ -144,12 +144,12 @@ def _taken(rendered: RenderedLight, effect: str) -> bool:
 
 def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
     """Direct light, and indirect light whose paths end ``by_chance`` or after some bounces."""
-    parts = [Part(lambda tracer, rays: tracer.direct(rays).value, 1.7)]
+    parts = [Part(lambda tracer, rays: (tracer.direct(rays).value, int(by_chance)), 1.7)]
     if indirect and by_chance:
         further = Part(lambda tracer, rays: tracer.all_indirect(rays), 1.0, True, *_INDIRECT)
         parts.append(further)
     elif indirect:
-        parts.append(Part(lambda tracer, rays: tracer.indirect(rays), 1.0, True, *_INDIRECT))
+        parts.append(Part(lambda tracer, rays: (tracer.indirect(rays), 0), 1.0, True, *_INDIRECT))
     return parts
 
 
