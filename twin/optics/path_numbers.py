@@ -104,5 +104,7 @@ def _rounded_down(
 def _power_of_2(part: PathSets, wanted: Array, rounded: np.ufunc) -> Ints:
     """A power of 2 times the first number, its logarithm rounded; whole ones stay."""
     steps = np.log2(np.minimum(wanted, _GROWTH * part.samples) / part.first)
-    steps = rounded(steps + {np.ceil: -1e-9, np.floor: 1e-9}.get(rounded, 0.0))
+    if rounded is not np.rint:
+        steps = steps + (-1e-9 if rounded is np.ceil else 1e-9)
+    steps = rounded(steps)
     return np.asarray(part.first * 2 ** np.maximum(steps, 0).astype(np.int64))
