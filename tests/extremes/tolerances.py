@@ -11,8 +11,6 @@ from twin.errors import InputError
 
 #: The error that the model may add, as a share of the sensor's noise, in a second run of all cases.
 TOLERANCE = 0.2
-#: Light that hardly ends, whose paths to a tolerance take hours.
-ENDLESS = ("reflectance 0.9", "reflectance 0.999", "reflectance 1,")
 
 
 def judged_within(case: Case) -> Row:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twin.optics.path_drawing import Drawing, Part
+from twin.optics.paths import TracingQuality
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
@@ -16,7 +17,7 @@ def test_a_cell_gets_paths_by_what_those_around_it_found(is_smooth: bool) -> Non
     first exposure of `crossing`).
     """
     grid = SimpleNamespace(rows=8, columns=8, size=64)
-    tracer: Any = SimpleNamespace(start=grid, seed=1)
+    tracer: Any = SimpleNamespace(start=grid, seed=1, quality=TracingQuality())
     drawing = Drawing(lambda times: tracer, Part(lambda *_: None, 1.7, is_smooth), 0)
     cells, samples = np.arange(64), np.full(64, 4)
     sums = np.random.default_rng(1).normal(40.0, 1.0, (64, 2))

@@ -40,6 +40,9 @@ from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
+#: Share of the light that bounces bring which no path has.
+_NOTHING = 1e-12
+
 
 def stages(system: System) -> tuple[str, ...]:
     """Names of the stages of `render`."""
@@ -82,27 +85,48 @@ def render(
 def _left_out(
     scene: Scene, system: System, rendered: RenderedLight, cosines: Array, fidelity: Fidelity
 ) -> Array:
-    """Bound of what fixed knobs leave out of each cell: bounces, and rounding of rays. A detector
+    """Bound of what the render leaves out of each cell: bounces, and rounding of rays. A detector
     that follows the lit cell is lit by the first bounce.
     """
     light, n_detectors = rendered.light, len(rendered.light.cells)
     shares = np.stack(np.hsplit(rounding_share(cosines), n_detectors)).reshape(n_detectors, -1)
-    one_bucket = rendered.paths is None and n_detectors == 1
-    # To a tolerance bounces of one bucket end by chance, and their bound is known already.
-    endless = (fidelity.has_light_tolerance and one_bucket) or system.optics.is_scanned
-    if not (endless or lie_in_a_plane(item.vertices_m for item in scene.objects)):
+    if not system.optics.is_scanned:
+        by_chance = fidelity.has_light_tolerance and rendered.paths is None and n_detectors == 1
         indirect = light.indirect_share if n_detectors == 1 else None
-        shares = shares + bounces_share(rendered.truth.albedo, float(fidelity.max_depth), indirect)
+        shares = shares + _beyond(scene, rendered, fidelity, indirect, by_chance=by_chance)
     # An unbounded share of nothing is nothing.
     return np.multiply(shares, light.cells, out=np.zeros_like(light.cells), where=light.cells > 0)
 
 
 def _sun_left_out(scene: Scene, rendered: RenderedLight, fidelity: Fidelity) -> Array | float:
-    """The same of each part of the sun's light, without rounding; to a tolerance it is known."""
-    if fidelity.has_light_tolerance or lie_in_a_plane(item.vertices_m for item in scene.objects):
+    """The same of each part of the sun's light, without rounding; to a tolerance besides what the
+    render says.
+    """
+    share = _beyond(scene, rendered, fidelity, None, by_chance=fidelity.has_light_tolerance)
+    if not share:
         return rendered.sun_left_out
-    share = bounces_share(rendered.truth.albedo, float(fidelity.max_depth), None)
-    return np.multiply(share, rendered.sun, out=np.zeros_like(rendered.sun), where=rendered.sun > 0)
+    beyond = np.multiply(
+        share, rendered.sun, out=np.zeros_like(rendered.sun), where=rendered.sun > 0
+    )
+    return np.asarray(beyond + rendered.sun_left_out)
+
+
+def _beyond(
+    scene: Scene,
+    rendered: RenderedLight,
+    fidelity: Fidelity,
+    indirect: float | None,
+    *,
+    by_chance: bool,
+) -> float:
+    """Light of bounces beyond the largest number, as `bounces_share`; ``by_chance``: bounces end
+    so, nearly all of them before that.
+    """
+    max_depth = fidelity.quality.most_bounces if by_chance else fidelity.max_depth
+    share = bounces_share(rendered.truth.albedo, float(max_depth), indirect)
+    if by_chance and share <= _NOTHING:
+        return 0.0
+    return 0.0 if lie_in_a_plane(item.vertices_m for item in scene.objects) else share
 
 
 def _uncertain(
@@ -117,18 +141,20 @@ def _uncertain(
     # Cells of a line sensor's detectors, side by side, are the cells of the image.
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     samples, max_depth = float(fidelity.samples), float(fidelity.max_depth)
-    nearest_m, scattering = float(truth.depth_m.min()), []
-    if fidelity.has_light_tolerance:  # a decision tells of light that the air scatters
-        # Of one bucket no bounce is lost, and what paths miss is in the stated error.
-        one_bucket = rendered.paths is None and len(light.cells) == 1
-        samples, max_depth = (math.inf, math.inf) if one_bucket else (FIRST_SAMPLES, max_depth)
-    else:
+    by_chance = fidelity.has_light_tolerance and rendered.paths is None and len(light.cells) == 1
+    if by_chance:  # what paths miss is in the stated error
+        samples, max_depth = math.inf, fidelity.quality.most_bounces
+    elif fidelity.has_light_tolerance:
+        samples = FIRST_SAMPLES
+    scattering: list[CaptureWarning] = []
+    if not fidelity.has_light_tolerance:  # else a decision tells of light that the air scatters
+        nearest_m = float(truth.depth_m.min())
         scattering = forward_scattering_warnings(problem.air, nearest_m, fidelity.air_orders)
     return (
         *undersampling_warnings(scene, emitter, image.size * samples),
         *grazing_warnings(image, cosines),
         *near_pupil_warnings(image, cosines, truth.depth_m, emitter, rendered.detector),
-        *truncation_warnings(light.indirect_share, truth.albedo, max_depth),
+        *truncation_warnings(light.indirect_share, truth.albedo, max_depth, by_chance=by_chance),
         *scattering,
     )
 

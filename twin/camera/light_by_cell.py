@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,11 +157,16 @@ def _taken(rendered: RenderedLight, effect: str) -> bool:
 
 def _parts(indirect: bool, *, by_chance: bool = True) -> list[Part]:
     """Direct light, and indirect light whose paths end ``by_chance`` or after some bounces."""
-    parts = [Part(lambda tracer, rays: tracer.direct(rays).value, 1.7)]
+    parts = [Part(lambda tracer, rays: (tracer.direct(rays).value, int(by_chance)), 1.7)]
     if indirect:
-        trace = Tracer.all_indirect if by_chance else Tracer.indirect
+        trace = Tracer.all_indirect if by_chance else _fixed_indirect
         parts.append(Part(trace, 1.0, True, *_INDIRECT, everywhere=True))
     return parts
+
+
+def _fixed_indirect(tracer: Tracer, rays: Any) -> tuple[Any, int]:
+    """Indirect light of as many bounces as are set, whose rays are not counted."""
+    return tracer.indirect(rays), 0
 
 
 def _sun(

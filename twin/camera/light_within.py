@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from twin.camera.chain import Chain
 from twin.camera.equal_paths import of_bucket, sun_shape, with_light
 from twin.camera.permitted_error import SUN_SHARE, PermittedError
-from twin.camera.render_warnings import tolerance_warnings
+from twin.camera.render_warnings import sun_warnings, tolerance_warnings
 from twin.camera.rendered import RenderedLight
 from twin.fidelity import Fidelity
 from twin.optics.adaptive import LEFT_OUT, gather_within
-from twin.optics.paths import TracingQuality
+from twin.optics.paths import RAYS, TracingQuality
 from twin.optics.problem import LightProblem
 
 Array = NDArray[np.float64]
@@ -23,8 +23,11 @@ INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its sho
 SUNLIT = 10 / math.pi
 #: Number of paths that would meet what all of them miss in 5 of 100 cases.
 _MISSED = 3.0
-#: Paths of a cell where all cells have the same number: to begin with, and at most.
+#: Paths of a cell where all cells have the same number: to begin with, and at most with the usual
+#: number of rays.
 FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
+#: Of all rays, those for the sun's light.
+_OF_SUN = 0.25
 
 
 def with_light_within(
@@ -58,6 +61,7 @@ def with_light_within(
         problem.corners,
         problem.largest_indirect(tracer),
         permitted_alike=limit_of_alike,
+        ray_share=1 - _OF_SUN,
     )
     light = replace(of_bucket(found.light), left_out=found.left_out)
     return _told(
@@ -90,7 +94,7 @@ def _told(
     )
     return replace(
         rendered,
-        warnings=tolerance_warnings(over, permitted, light.cells),
+        warnings=(*rendered.warnings, *tolerance_warnings(over, permitted, light.cells)),
         decisions=(*rendered.decisions, decision),
     )
 
@@ -104,6 +108,7 @@ def _equally(
     seed: int,
 ) -> RenderedLight:
     system, samples, taken = chain.system, FIRST_SAMPLES, True
+    most = _most_samples(rendered, quality)
     largest = problem.largest_indirect(problem.from_emitter(system.image_shape, quality, seed))
     while True:
         quality = replace(quality, samples=samples, indirect_samples=None)
@@ -112,16 +117,25 @@ def _equally(
         limit, limit_of_alike = permitted.of(lit.light.cells), permitted.of_alike(lit.light.cells)
         over, indirect = _rms(lit.light.error / limit), largest * _rms(1 / limit_of_alike)
         taken = taken and not system.optics.is_scanned
-        if over <= 1 or samples >= _MOST_SAMPLES:
+        if over <= 1 or samples >= most:
             break
         if indirect <= LEFT_OUT:
             quality, taken = replace(quality, max_depth=1), False
         # Their number by its square root; the error falls as their number to the power -0.75.
         side = math.isqrt(samples) * min(max(1.1 * over ** (2 / 3), 1.4), 4.0)
-        samples = min(math.ceil(side) ** 2, _MOST_SAMPLES)
+        samples = min(math.ceil(side) ** 2, most)
     left_out = 0.0 if taken else largest * system.receiver_share
     lit = replace(lit, light=replace(lit.light, left_out=left_out))
     return _told(lit, permitted, indirect, taken=taken)
+
+
+def _most_samples(rendered: RenderedLight, quality: TracingQuality) -> int:
+    """Paths of each cell at most, a square number: each cell of each detector has as many, and all
+    of them as many bounces.
+    """
+    rays = (1 - _OF_SUN) * quality.rays / rendered.light.cells.size / quality.max_depth
+    most = min(_MOST_SAMPLES * max(1.0, quality.rays / RAYS), rays)
+    return max(math.isqrt(int(most)) ** 2, FIRST_SAMPLES)
 
 
 def with_sun_within(
@@ -154,7 +168,11 @@ def with_sun_within(
     # Where no path met the sun, as many that what all of them miss is too little to matter.
     least = float(permitted.sun_error(np.zeros(shape), largest).min(initial=math.inf))
     paths = _MISSED * rendered.sun.size * largest / least if least else math.inf
-    found = gather_within(tracer, limit, largest_indirect=indirect, in_the_dark=paths)
+    found = gather_within(
+        tracer, limit, largest_indirect=indirect, in_the_dark=paths, ray_share=_OF_SUN
+    )
+    # Where light is without limit, any error is within it.
+    over = _rms(found.light.standard_error / np.maximum(limit(found.light.total), 1e-150))
     decision = permitted.decision(
         SUN_INDIRECT,
         (found.indirect_over * SUN_SHARE, LEFT_OUT * SUN_SHARE),
@@ -166,7 +184,9 @@ def with_sun_within(
         rendered,
         sun=found.light.total,
         sun_error=found.light.standard_error,
-        sun_left_out=0.0 if found.indirect_taken else largest_indirect,
+        sun_left_out=_MISSED * largest * found.unseen
+        + (0.0 if found.indirect_taken else largest_indirect),
+        warnings=(*rendered.warnings, *sun_warnings(over)),
         decisions=(*rendered.decisions, decision),
     )
 

@@ -137,7 +137,7 @@ def _warnings(
     if fidelity.has_light_tolerance and light.path_error > _FEW_PATHS:
         text = (
             f"paths of light of some instants err by {light.path_error:.2g} times what is "
-            "permitted: fidelity.light_tolerance"
+            "permitted: fidelity.light_tolerance; or raise fidelity.light_rays"
         )
         found.append(CaptureWarning("tolerance", text))
     if light.motion_error <= 1:

@@ -19,23 +19,32 @@ Array = NDArray[np.float64]
 
 _WORTH_SAYING = 0.004  # relative error of all the light
 _THIN = 0.01  # share of the light
+#: How a limit of paths and bounces is raised.
+_MORE_RAYS = "raise fidelity.light_rays"
+_NO_MORE_PATHS = f"no more paths are traced; {_MORE_RAYS}"
 
 
 def truncation_warnings(
-    indirect_share: float, albedo: Array, max_depth: float
+    indirect_share: float, albedo: Array, max_depth: float, *, by_chance: bool = False
 ) -> list[CaptureWarning]:
-    """Light of bounces beyond ``max_depth``, as a share of the computed light: `bounces_share`."""
+    """Light of bounces beyond ``max_depth``, as a share of the computed light: `bounces_share`.
+
+    ``by_chance``: bounces end so, and at that number only where light hardly ends.
+    """
     if max_depth in (1, math.inf) or not indirect_share:
         return []
     lost = bounces_share(albedo, max_depth, indirect_share)
-    if lost == math.inf:
-        text = f"bounces beyond max_depth {max_depth:g} are cut off: nothing here absorbs light"
-        return [CaptureWarning("rendering", text)]
     if lost < _WORTH_SAYING:
         return []
+    bounces, knob = f"max_depth {max_depth:g}", ""
+    if by_chance:
+        bounces, knob = f"{max_depth:g}", f"; {_MORE_RAYS}"
+    if lost == math.inf:
+        text = f"bounces beyond {bounces} are cut off: nothing here absorbs light"
+        return [CaptureWarning("rendering", text)]
     text = (
-        f"bounces beyond max_depth {max_depth:g} are cut off: some {100 * lost:.2g} % more light, "
-        "if the reflectances in sight are typical of the scene"
+        f"bounces beyond {bounces} are cut off: some {100 * lost:.2g} % more light, "
+        f"if the reflectances in sight are typical of the scene{knob}"
     )
     return [CaptureWarning("rendering", text)]
 
@@ -51,8 +60,16 @@ def tolerance_warnings(
     tolerance = permitted.tolerance_of(cells)
     text = (
         f"light is off by {over * tolerance:.2g} {permitted.unit}, root mean square over the "
-        f"image, where {tolerance:.2g} are allowed: no more paths are traced"
+        f"image, where {tolerance:.2g} are allowed: {_NO_MORE_PATHS}"
     )
+    return (CaptureWarning("tolerance", text),)
+
+
+def sun_warnings(over: float) -> tuple[CaptureWarning, ...]:
+    """The sun's light whose error over the permitted one is above 1."""
+    if over <= 1:
+        return ()
+    text = f"the sun's light is off by {over:.2g} times what the tolerance allows: {_NO_MORE_PATHS}"
     return (CaptureWarning("tolerance", text),)
 
 

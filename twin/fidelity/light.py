@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 from twin.fidelity.knobs import Knobs, one_of, optional_tolerance, whole
-from twin.optics.paths import TracingQuality
+from twin.optics.paths import RAYS, TracingQuality
 
 Noise = Literal["none", "gaussian", "full"]
 Start = Literal["auto", "dual", "scatter"]
@@ -38,6 +38,13 @@ class LightFidelity(Knobs):
         have as many paths in every cell, and bounces up to ``max_depth``. Indirect light is left
         out where a bound of it is below a tenth of the tolerance. None: as many paths as
         ``samples`` says.
+    light_rays
+        Rays to surfaces that all paths of a render to a tolerance take at most, three quarters of
+        them for the emitter's light and one for the sun's: some minute of one core. After these
+        light is as exact as they made it: the error that was reached is stated, and warned of. A
+        number of rays, not a time, so that the same light follows on every machine. More of them
+        also let each cell have more paths, and each path more bounces, in proportion. Each part of
+        the light that changes during a frame, direct and indirect, has as many again.
     light_tolerance_relative
         The same as a share of the light itself: of each cell's, or of the cells' mean where that is
         more. With both, each cell's error is within the stricter one.
@@ -65,6 +72,7 @@ class LightFidelity(Knobs):
     light_tolerance_relative: float | None = field(
         default=None, metadata=optional_tolerance(1e-5, 1.0)
     )
+    light_rays: int = field(default=RAYS, metadata=whole(1))
     motion_tolerance: float | None = field(default=0.1, metadata=optional_tolerance(1e-4, 10.0))
     noise: Noise = field(default="full", metadata=one_of(Noise))
     air_orders: int = field(default=12, metadata=whole(0))
@@ -84,4 +92,6 @@ class LightFidelity(Knobs):
     @property
     def quality(self) -> TracingQuality:
         """Knobs of the path tracer."""
-        return TracingQuality(self.samples, self.max_depth, self.indirect_samples, self.air_orders)
+        return TracingQuality(
+            self.samples, self.max_depth, self.indirect_samples, self.air_orders, self.light_rays
+        )

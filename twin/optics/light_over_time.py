@@ -28,8 +28,8 @@ Ints = NDArray[np.int64]
 _LEFT_BEHIND = 0.5
 #: Variance of the difference between a middle and the mean of both ends, over that of each.
 _OF_MIDDLES = 1.5
-#: Instants at which cells are rendered at most, and paths after which no interval is halved.
-_MOST_INSTANTS, _MOST_PATHS = 2**15, 2**25
+#: Instants at which cells are rendered at most.
+_MOST_INSTANTS = 2**15
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def _over_time(drawing: Drawing, times: Array, changes: Flags, effort: Effort) -
     worst = 0.0
     while opened:
         fine = [x for x in opened if (at[x.last] - at[x.first]) / 2 >= effort.finest_s]
-        if not fine or len(at) + len(fine) > _MOST_INSTANTS or drawing.paths > _MOST_PATHS:
+        if not fine or len(at) + len(fine) > _MOST_INSTANTS or drawing.is_spent:
             worst = max(worst, *(1 - x.budget + x.left for x in opened))
             break
         worst = max([worst, *(1 - x.budget + x.left for x in opened if x not in fine)])

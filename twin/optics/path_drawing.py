@@ -9,11 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from twin.engine import mitsuba
+from twin.optics.paths import RAYS
 from twin.optics.ray_sets import CellRays, Rays
 from twin.optics.tracer import RAYS_AT_ONCE, Tracer
 
@@ -31,8 +33,9 @@ _OWN = 0.25
 _SMOOTH_CELLS = 5
 #: Keys of draws, apart from those of still light.
 _DRAWS = 2**17
-#: Paths that instants are rendered with at once, at most.
-_MOST_TOGETHER = 2**24
+#: Paths that instants are rendered with at once, at most; and after which no interval is halved,
+#: with the usual number of rays.
+_MOST_TOGETHER, _MOST_PATHS = 2**24, 2**25
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class Part:
     Parameters
     ----------
     trace
-        What of a set of rays it is.
+        What of a set of rays it is, and the rays to surfaces that each path takes: an array or,
+        where all take as many, a number; 0 where their number is given.
     falls
         Power of the number of paths with which its variance falls.
     is_smooth
@@ -60,7 +64,7 @@ class Part:
         What moves changes it in all cells, by light that comes from there: not direct light.
     """
 
-    trace: Callable[[Tracer, Rays], Any]
+    trace: Callable[[Tracer, Rays], tuple[Any, Any]]
     falls: float
     is_smooth: bool = False
     step: int = 1
@@ -133,7 +137,14 @@ class Drawing:
         self.grid = tracer.start
         seed = np.random.SeedSequence([tracer.seed, _DRAWS, number])
         self._shift = int(seed.generate_state(1)[0])
-        self.looks = self.paths = 0
+        self._most_rays = tracer.quality.rays
+        self.looks = self.paths = self._rays = 0
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether there were as many paths, or rays, as there may be."""
+        most = _MOST_PATHS * max(1.0, self._most_rays / RAYS)
+        return self.paths > most or self._rays > self._most_rays
 
     @property
     def is_smooth(self) -> bool:
@@ -211,7 +222,11 @@ class Drawing:
             rays = CellRays(
                 cells[some], before[some], further[some], SETS, self._shift, (), instant[some]
             )
-            value = np.array(mitsuba().Float64(self._part.trace(tracer, rays)))
+            light, traced = self._part.trace(tracer, rays)
+            light = mitsuba().Float64(light)
+            dr.eval(light, traced)
+            value, each = np.array(light), np.asarray(traced)
+            self._rays += int(each.sum(dtype=np.int64)) * (value.size // each.size)
             found[some] = np.add.reduceat(value, rays.set_starts).reshape(-1, SETS)
         return found
 
@@ -260,6 +275,8 @@ class Drawing:
         steps = np.log2(np.maximum(scale[instant] * root / samples, 1))
         steps = np.ceil(steps - 0.25) if up else np.rint(steps)
         wanted = np.minimum(samples * 2 ** steps.astype(np.int64), _MOST)
-        while wanted.sum() * SETS > _MOST_TOGETHER and wanted.max() > self._part.first:
+        left = (self._most_rays - self._rays) * self.paths / max(self._rays, 1)
+        most = min(_MOST_TOGETHER, left + samples.sum() * SETS)
+        while wanted.sum() * SETS > most and wanted.max() > self._part.first:
             wanted = np.minimum(wanted, wanted.max() // 2)
         return np.asarray(np.maximum(samples, wanted))

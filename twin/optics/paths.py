@@ -28,6 +28,12 @@ from twin.transfer import vector
 
 Array = NDArray[np.float64]
 
+#: Rays of a render to a tolerance: some minute of one core.
+RAYS = 10**8
+#: Bounces at most of a path that ends by chance: one for so many rays of a render, and at least.
+#: 1e-9 of 1000 paths are longer where 0.98 is reflected.
+_RAYS_PER_BOUNCE, _BOUNCES = 50_000, 2000
+
 
 @dataclass(frozen=True)
 class TracingQuality:
@@ -48,12 +54,16 @@ class TracingQuality:
         way less than 0.1 % (asymmetry 0.85) and 0.6 % (0), with 4 orders 0.5 and 5 %; at 3 0.2 %
         (0.85), 9 % (0.5) and 29 % (0). 0: no scattering is traced, and forward scattered light
         stays in its cell, so that contrast is too high by the optical depth.
+    rays
+        Of a render to a tolerance, in place of the numbers of paths and bounces above: rays to
+        surfaces at most, of all paths together. Light is then as exact as they make it.
     """
 
     samples: int = 64
     max_depth: int = 4
     indirect_samples: int | None = None
     air_orders: int = 12
+    rays: int = RAYS
 
     def __post_init__(self) -> None:
         for name in ("samples", "indirect_samples"):
@@ -64,6 +74,11 @@ class TracingQuality:
             raise InputError(f"max_depth: {self.max_depth} is less than 1")
         if self.air_orders < 0:
             raise InputError(f"air_orders: {self.air_orders} is less than 0")
+
+    @property
+    def most_bounces(self) -> int:
+        """Of a path that ends by chance."""
+        return max(_BOUNCES, self.rays // _RAYS_PER_BOUNCE)
 
     @property
     def further_samples(self) -> int:

@@ -22,9 +22,9 @@ from twin.optics.weather import Air
 
 #: Paths traced in one kernel, which bounds memory.
 RAYS_AT_ONCE = 2**22
-#: Bounces of a path that ends by chance; and how likely it goes on at most. 1e-9 of 1000 paths are
-#: longer where 0.98 is reflected.
-_MOST_BOUNCES, _LIKELIEST, _LEAST_LIKELY = 2000, 0.98, 1e-6
+#: How likely a path that ends by chance goes on at most, up to a number of bounces. After these it
+#: goes on as likely as light is reflected, where the light of ever fewer paths would else grow.
+_LIKELIEST, _LIKELIEST_BOUNCES, _LEAST_LIKELY = 0.98, 100, 1e-6
 #: First and last row, the last one excluded.
 Block = tuple[int, int]
 
@@ -43,6 +43,15 @@ class Bounce(NamedTuple):
     length: Any
     places: tuple[Place, ...]
     shape: Any
+
+
+class Indirect(NamedTuple):
+    """Light of all further bounces of each path, with the weight of `sample_rays`, and the rays to
+    surfaces that it took, (n_paths,) each.
+    """
+
+    value: Any
+    rays: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +148,18 @@ class Tracer:
         """Sum of all further bounces, in one kernel whatever their number."""
         rng, ray, weight, active = self._rays(rays, 1)
         max_depth = dr.opaque(mitsuba().UInt32, self.quality.max_depth)
-        return _per_path(weight * _further(self._steps, ray, rng, active, max_depth, False), rng)
+        light, _ = _further(self._steps, ray, rng, active, max_depth, False)
+        return _per_path(weight * light, rng)
 
-    def all_indirect(self, rays: Rays) -> Any:
-        """The same without a largest number of bounces: from the third surface on a path ends by
+    def all_indirect(self, rays: Rays) -> Indirect:
+        """The same up to `TracingQuality.most_bounces`: from the third surface on a path ends by
         chance, as likely as light is absorbed there, so that the mean is that of all bounces.
         """
+        mi = mitsuba()
         rng, ray, weight, active = self._rays(rays, 1)
-        most = dr.opaque(mitsuba().UInt32, _MOST_BOUNCES)
-        return _per_path(weight * _further(self._steps, ray, rng, active, most, True), rng)
+        most = dr.opaque(mi.UInt32, self.quality.most_bounces)
+        light, traced = _further(self._steps, ray, rng, active, most, True)
+        return Indirect(_per_path(weight * light, rng), traced + dr.zeros(mi.UInt32, dr.width(rng)))
 
     def _rays(self, rays: Rays, *key: int) -> tuple[Any, Any, Any, Any]:
         """Generator of random numbers, rays, their weights, and whether they belong to a cell."""
@@ -173,9 +185,9 @@ class Tracer:
 @dr.syntax
 def _further(
     steps: PathSteps, ray: Any, rng: Any, active: Any, max_depth: Any, by_chance: bool
-) -> Any:
-    """Path tracing with next-event estimation from the second surface on; ``by_chance``: paths end
-    where the light would be absorbed.
+) -> tuple[Any, Any]:
+    """Path tracing with next-event estimation from the second surface on, and the number of rays to
+    surfaces; ``by_chance``: paths end where the light would be absorbed.
     """
     mi = mitsuba()
     hit, ray, active, length = steps.next_surface(ray, rng, active, first=True)
@@ -189,7 +201,8 @@ def _further(
         value, link = steps.light_at(hit, ray, rng, active, coherent=False)
         total += throughput * (value * steps.unabsorbed(length + link.length))
         if dr.hint(by_chance, mode="scalar"):
-            survives = dr.minimum(albedo(hit, active), _LIKELIEST)
+            likeliest = dr.select(depth < _LIKELIEST_BOUNCES, _LIKELIEST, 1.0)
+            survives = dr.minimum(albedo(hit, active), likeliest)
             throughput *= albedo(hit, active) / dr.maximum(survives, _LEAST_LIKELY)
             active &= rng.next_float32() < survives
         else:
@@ -197,7 +210,7 @@ def _further(
         active &= throughput > 0
         ray = bounce(hit, ray, rng)
         depth += 1
-    return total
+    return total, depth
 
 
 def _per_path(value: Any, rng: Any) -> Any:

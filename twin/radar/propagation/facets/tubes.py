@@ -282,9 +282,8 @@ def _by_quarters(
     normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = is_hit & (~is_lit | is_other)
-    root, doubt, rounding = (
-        np.repeat(each, 4) for each in (tubes.root, tubes.doubt + doubt, tubes.rounding)
-    )
+    root, rounding = np.repeat(tubes.root, 4), np.repeat(tubes.rounding, 4)
+    doubt = np.repeat(tubes.doubt + doubt, 4)
     quarters = Tubes(pieces, root, doubt, rounding, is_lit)
     near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [

@@ -1,0 +1,139 @@
+"""Independent sets of paths from each cell of a grid: their mean light, and its variance."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from twin.engine import mitsuba
+from twin.optics.ray_sets import CellRays, Rays
+from twin.optics.tracer import RAYS_AT_ONCE, Tracer
+
+Array = NDArray[np.float64]
+
+#: Independent sets of paths in a cell, in two halves: their scatter has this number less one
+#: degrees of freedom.
+SETS = 4
+#: Keys of draws, apart from those of rows of cells.
+DRAWS = 2**16
+
+
+@dataclass(eq=False)
+class PathSets:
+    """Direct, scattered or indirect light of all cells: mean and its variance, (n_cells,).
+
+    Parameters
+    ----------
+    shift
+        Of the random numbers that shift the paths' sequences.
+    trace
+        Light of the paths of a set of rays, and the rays to surfaces that each path takes: an array
+        or, where all take as many, a number.
+    falls
+        Power of the number of paths with which the variance falls; 1: of rare bright paths.
+    cost
+        Of a path, over that of direct light.
+    first
+        Paths of a set to begin with.
+    window
+        Cells, to a side, over which variances are taken together.
+    """
+
+    tracer: Tracer
+    shift: int
+    trace: Callable[[Rays], tuple[Any, Any]]
+    falls: float
+    cost: float
+    first: int
+    window: int
+    mean: Array = field(init=False)
+    variance: Array = field(init=False)
+    #: Paths of a set of each half, and the mean of each half, (n_cells, 2); the sum of the light of
+    #: each set, (n_cells, sets).
+    samples: NDArray[np.int64] = field(init=False)
+    halves: Array = field(init=False)
+    sums: Array = field(init=False)
+    #: Variance of a half of sets of one path, as each half finds it itself, (n_cells, 2): by all
+    #: its paths or, where bright ones are rare, by those of the first look.
+    of_path: Array = field(init=False)
+    #: Light of the brightest path of all; the time that all of them took, and their rays.
+    brightest: float = field(init=False, default=0.0)
+    cost_s: float = field(init=False, default=0.0)
+    rays: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        n = self.tracer.start.size
+        self.mean, self.variance, self.sums = np.zeros(n), np.zeros(n), np.zeros((n, SETS))
+        self.halves, self.of_path = np.zeros((2, n, 2))
+        self.samples = np.zeros((n, 2), np.int64)
+        self.draw(np.arange(n), np.full((n, 2), self.first), 0)
+
+    @property
+    def paths(self) -> NDArray[np.int64]:
+        """Of each cell, in all its sets."""
+        return np.asarray(self.samples.sum(axis=1) * (SETS // 2))
+
+    @property
+    def rays_per_path(self) -> float:
+        """Mean over all paths so far."""
+        return self.rays / float(self.paths.sum())
+
+    def draw(self, cells: NDArray[np.integer], samples: NDArray[np.integer], turn: int) -> None:
+        """Continue the sets of these cells until there are ``samples`` paths in each of a half."""
+        start, before = time.perf_counter(), np.repeat(self.samples[cells], SETS // 2, axis=1)
+        further = np.repeat(samples, SETS // 2, axis=1) - before
+        portion = np.cumsum(further.sum(axis=1)) // RAYS_AT_ONCE
+        for number in np.unique(portion):
+            some = np.flatnonzero(portion == number)
+            key = (DRAWS + turn, int(number))
+            rays = CellRays(cells[some], before[some], further[some], SETS, self.shift, key)
+            light, traced = self.trace(rays)
+            light = mitsuba().Float64(light)
+            dr.eval(light, traced)
+            value, each = np.array(light), np.asarray(traced)
+            self.rays += int(each.sum(dtype=np.int64)) * (value.size // each.size)
+            self.brightest = max(self.brightest, float(value.max()))
+            drawn, sums = further[some].ravel() > 0, np.zeros(some.size * SETS)
+            sums[drawn] = np.add.reduceat(value, rays.set_starts[drawn])
+            self.sums[cells[some]] += sums.reshape(-1, SETS)
+        self.samples[cells] = samples
+        sets = (self.sums[cells] / np.repeat(samples, SETS // 2, axis=1)).reshape(-1, 2, SETS // 2)
+        halves = sets.mean(axis=2)
+        self.halves[cells], self.mean[cells] = halves, halves.mean(axis=1)
+        # Of one path, so that cells of different numbers of paths compare.
+        part = samples.astype(float) ** -self.falls
+        within = sets.var(axis=2, ddof=1) / (SETS // 2) / part
+        between = np.diff(halves, axis=1)[:, 0] ** 2 / part.sum(axis=1)
+        if turn == 0 or self.falls > 1:
+            for half in (0, 1):
+                own = within[:, half]
+                found = (own + self._around(cells, own)) / 2
+                # Most windows have none of rare paths: they are likely wherever some were.
+                self.of_path[cells, half] = found if self.falls > 1 else (found + found.mean()) / 2
+        own = (within.sum(axis=1) * (SETS // 2 - 1) + between) / (SETS - 1)
+        of_path = (own + self._around(cells, own)) / 2
+        self.variance[cells] = of_path * part.sum(axis=1) / 4
+        self.cost_s += time.perf_counter() - start
+
+    @property
+    def by_other_half(self) -> Array:
+        """Variance that each half adds to the mean of its cell, as the other half tells it,
+        (n_cells, 2).
+        """
+        return np.asarray(self.of_path[:, ::-1] * self.samples.astype(float) ** -self.falls / 4)
+
+    def _around(self, cells: NDArray[np.integer], values: Array) -> Array:
+        """Mean of the values of the cells around that are among these."""
+        shape = (self.tracer.start.rows, self.tracer.start.columns)
+        total, count = np.zeros((2, self.tracer.start.size))
+        total[cells], count[cells] = values, 1
+        total, count = (
+            uniform_filter(x.reshape(shape), self.window, mode="constant").ravel()[cells]
+            for x in (total, count)
+        )
+        return np.maximum(total / count, 0)
