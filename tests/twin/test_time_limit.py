@@ -4,7 +4,7 @@ import pytest
 
 from twin.camera import capture
 from twin.errors import InputError
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.scene import load_scene
 from twin.system import load_system
 from twin.trade import fidelity_within, time_limit
@@ -25,7 +25,7 @@ def test_the_smallest_share_within_the_limit(
         assert fidelity.light_tolerance is not None
         clock_s += 0.004 / fidelity.light_tolerance
 
-    chosen = time_limit.finest("camera", frame, limit_s)
+    chosen = time_limit.finest(frame, limit_s)
     assert chosen.noise_share == share
     assert chosen.frame_s == pytest.approx(0.005 / share)
 
@@ -45,8 +45,56 @@ def test_a_frame_stays_within_the_time() -> None:
     assert "ms a frame" in str(chosen)
 
 
-def test_what_no_tolerance_brings_down_is_refused() -> None:
-    with pytest.raises(InputError, match=r"a frame of the radar takes .* largest tolerance"):
+@pytest.mark.parametrize(
+    ("sensor", "limit_s", "says"),
+    [
+        ("camera", 0.5, "2 of the noise with nothing that moves within a frame"),
+        ("camera", 0.1, "`draft` with nothing that moves within a frame"),
+        ("radar", 0.5, "`draft`"),
+        ("radar", 0.1, "`draft` with `paths`"),
+        ("radar", 0.02, "declared targets alone"),
+    ],
+)
+def test_coarser_knobs_where_the_largest_tolerance_takes_too_long(
+    sensor: str, limit_s: float, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock of its own: 4 s at any tolerance, of the camera 40 ms by 4 paths and 0.3 s else
+    where nothing moves; of the radar 0.3 s, 50 ms and 10 ms.
+    """
+    clock_s = 0.0
+    monkeypatch.setattr(time_limit.time, "perf_counter", lambda: clock_s)
+
+    def frame(knobs: Fidelity) -> None:
+        nonlocal clock_s
+        if sensor == "camera":
+            still_s = 0.04 if knobs.light_tolerance is None else 0.3
+            clock_s += still_s if knobs.motion_tolerance is None else 4.0
+        elif knobs.radar_tolerance == 0.3:
+            clock_s += {"optics": 0.3, "paths": 0.05, "targets": 0.01}[str(knobs.radar)]
+        else:
+            clock_s += 4.0
+
+    chosen = time_limit._best(sensor, frame, limit_s)
+    assert str(chosen).startswith(f"{says}, ")
+    assert chosen.frame_s <= limit_s
+    with pytest.raises(InputError, match=rf"of the {sensor} takes .* by the coarsest knobs"):
+        time_limit._best(sensor, frame, 1e-3)
+
+
+def test_a_time_below_that_of_the_largest_tolerance() -> None:
+    """The yard, whose car moves within a frame: its echoes by declared targets alone, its light by
+    coarser knobs than any tolerance's, which then hold for a capture.
+    """
+    chosen = fidelity_within("yard", 1.5, system=None)
+    assert chosen.radar is not None
+    assert chosen.radar.coarser
+    assert chosen.radar.frame_s <= 1.5
+    assert chosen.fidelity.light_tolerance == Tolerance().knobs().light_tolerance
+    assert chosen.fidelity.radar_bounces is not None
+
+
+def test_what_no_knobs_bring_down_is_refused() -> None:
+    with pytest.raises(InputError, match=r"a frame of the radar takes .* coarsest knobs"):
         fidelity_within("table1", 1e-4, system=None)
     for wrong in (0.0, -1.0, float("nan"), True, None, [1], "2 m"):
         with pytest.raises(InputError, match=r"within|expected"):

@@ -1,17 +1,19 @@
-"""The smallest tolerance whose frames a time allows on this machine."""
+"""The smallest tolerance whose frames a time allows on this machine, or else coarser knobs."""
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from hardware.formatting import number, si
 from hardware.units import quantity
 from twin.camera import capture
 from twin.errors import InputError
-from twin.fidelity import DEFAULT, Fidelity, Tolerance
+from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.fidelity.knobs import is_number
+from twin.fidelity.light import LightFidelity
+from twin.fidelity.radar import RadarFidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.scene import Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -27,13 +29,17 @@ _OF_LIMIT = 0.8
 
 @dataclass(frozen=True)
 class TimedShare:
-    """What a sensor's frame takes at most at a tolerance, a share of the sensor's noise."""
+    """What a sensor's frame takes at most at a tolerance, a share of the sensor's noise; or, where
+    none is large enough, by coarser knobs, which have a name and promise no share: infinity.
+    """
 
     noise_share: float
     frame_s: float
+    coarser: str = ""
 
     def __str__(self) -> str:
-        return f"{number(self.noise_share)} of the noise, {si(self.frame_s, 's')} a frame"
+        level = self.coarser or f"{number(self.noise_share)} of the noise"
+        return f"{level}, {si(self.frame_s, 's')} a frame"
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,15 @@ def fidelity_within(
     a number or text with a unit, for the camera and the radar each; from 2 of the sensor's noise
     down to 0.004. What else the radar models, such as its bounces, is as by default.
 
+    Where even the largest takes longer, coarser knobs are tried: nothing moves within the camera's
+    frame, then that with `draft`; of the radar `draft`, then `paths`, then `targets` alone. Their
+    error is told by each result, and what they leave out is warned of there.
+
     A frame is all from the scene to the counts, once kernels are compiled and the scene is loaded.
     It is measured, so what is chosen differs between machines and may differ between runs; results
     depend on what was chosen alone. Choosing takes some times ``frame_s``.
 
-    Raises InputError where a frame takes longer at the largest tolerance already.
+    Raises InputError where a frame takes longer by the coarsest knobs.
     """
     limit_s = _seconds(frame_s)
     if system is None and radar is None:
@@ -81,16 +91,22 @@ def fidelity_within(
         def image(fidelity: Fidelity) -> object:
             return capture(world, sensor, seed=seed, fidelity=fidelity, mesh_scene=rendered)
 
-        camera = finest("camera", image, limit_s)
-        knobs = _of_light(knobs, camera.noise_share)
+        camera = _best("camera", image, limit_s)
+        if camera.coarser:
+            knobs = _with(knobs, _COARSER["camera"][camera.coarser], LightFidelity)
+        else:
+            knobs = _of_light(knobs, camera.noise_share)
     if radar is not None:
         design = load_radar(radar)
 
         def burst(fidelity: Fidelity) -> object:
             return radar_capture(world, design, seed=seed, fidelity=fidelity)
 
-        echoes = finest("radar", burst, limit_s)
-        knobs = replace(knobs, radar_tolerance=echoes.noise_share / 2)
+        echoes = _best("radar", burst, limit_s)
+        if echoes.coarser:
+            knobs = _with(knobs, _COARSER["radar"][echoes.coarser], RadarFidelity)
+        else:
+            knobs = replace(knobs, radar_tolerance=echoes.noise_share / 2)
     return TimedFidelity(knobs, camera, echoes)
 
 
@@ -109,23 +125,46 @@ def _seconds(frame_s: float | str) -> float:
     return float(value)
 
 
-def finest(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
+def _with(knobs: Fidelity, other: Fidelity, sensor: type) -> Fidelity:
+    """The knobs with another's of one sensor."""
+    return replace(knobs, **{field.name: getattr(other, field.name) for field in fields(sensor)})
+
+
+def _best(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
+    """The finest tolerance within the limit, or the first of the coarser knobs that is."""
+    largest = finest(frame, limit_s)
+    if largest.frame_s <= limit_s:
+        return largest
+    for name, fidelity in _COARSER[sensor].items():
+        frame(fidelity)  # compiles
+        took_s = _time_s(frame, fidelity)
+        if took_s <= limit_s:
+            return TimedShare(math.inf, took_s, name)
+    raise InputError(
+        f"within: {limit_s:g} s: a frame of the {sensor} takes {took_s:.2g} s by the coarsest "
+        f"knobs, {name}, and {largest.frame_s:.2g} s at the largest tolerance, "
+        f"{largest.noise_share:g} of the noise"
+    )
+
+
+def _time_s(frame: Callable[[Fidelity], object], fidelity: Fidelity) -> float:
+    """What a frame may take, from one."""
+    start = time.perf_counter()
+    frame(fidelity)
+    return (time.perf_counter() - start) / _OF_LIMIT
+
+
+def finest(frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
     """The last of the tolerances that stays within the limit, as far as the next ones are worth
-    trying: a frame takes the longer, the smaller the tolerance.
+    trying: a frame takes the longer, the smaller the tolerance. The largest, where none does.
     """
 
     def timed(share: float) -> TimedShare:
-        start = time.perf_counter()
-        frame(replace(_of_light(DEFAULT, share), radar_tolerance=share / 2))
-        return TimedShare(share, (time.perf_counter() - start) / _OF_LIMIT)
+        knobs = replace(_of_light(DEFAULT, share), radar_tolerance=share / 2)
+        return TimedShare(share, _time_s(frame, knobs))
 
     timed(_SHARES[0])  # compiles
     best = timed(_SHARES[0])
-    if best.frame_s > limit_s:
-        raise InputError(
-            f"within: {limit_s:g} s: a frame of the {sensor} takes {best.frame_s:.2g} s at the "
-            f"largest tolerance, {best.noise_share:g} of the noise"
-        )
     growth = _LEAST_GROWTH
     for share in _SHARES[1:]:
         if best.frame_s * growth > limit_s:
@@ -136,3 +175,20 @@ def finest(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> 
         growth = max(tried.frame_s / best.frame_s, _LEAST_GROWTH)
         best = tried
     return best
+
+
+_STILL = "with nothing that moves within a frame"
+#: By sensor, from the best on: what takes less time than the largest tolerance.
+_COARSER = {
+    "camera": {
+        f"{_SHARES[0]:g} of the noise {_STILL}": replace(
+            _of_light(DEFAULT, _SHARES[0]), motion_tolerance=None
+        ),
+        f"`draft` {_STILL}": replace(PRESETS["draft"], motion_tolerance=None),
+    },
+    "radar": {
+        "`draft`": PRESETS["draft"],
+        "`draft` with `paths`": replace(PRESETS["draft"], radar="paths"),
+        "declared targets alone": replace(PRESETS["draft"], radar="targets"),
+    },
+}
