@@ -298,6 +298,7 @@ def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
         counts=~subject.shape.is_double,
         outward=subject.shape.outward[None],
         reachable=np.ones((1, count), dtype=bool),
+        patch_area_m2=subject.shape.patch_area_m2[subject.shape.patch_of_face],
         antenna=_Isotropic(context.mi, (zero, zero, zero), None, one, one, one, 1),
         answers=context.mi.Bool(aligned(np.ones(kinds, dtype=bool))),
         surface=context.mi.UInt32(aligned(subject.surface)),

@@ -47,7 +47,8 @@ Indices = NDArray[np.integer]
 _SMOOTH_RAD = 0.7
 _STEP_RAD = 3.0
 _DOUBT = 1.0  # relative error of a tube that is represented by one ray: others of its rays may miss
-_ROUNDED = 2e-7  # of the distance from the anchor: float32 shifts borders by two of its steps
+#: Of the distance from the anchor: by which float32 shifts borders, as measured on hollow bodies.
+_ROUNDED = 5e-7
 _CURVED = 1.0  # relative error of a tube cut at a border, over that border's curvature
 _MOST_CURVATURE = 0.4
 _ALIKE = 0.9  # cosine between facets of one curved surface
