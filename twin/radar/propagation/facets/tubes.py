@@ -283,10 +283,8 @@ def _by_quarters(
     normal = context.world.plane_table[:, 3:]
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = is_hit & (~is_lit | is_other)
-    root, doubt, rounding = (
-        np.repeat(each, 4) for each in (tubes.root, tubes.doubt + doubt, tubes.rounding)
-    )
-    quarters = Tubes(pieces, root, doubt, rounding, is_lit)
+    root, rounding = np.repeat(tubes.root, 4), np.repeat(tubes.rounding, 4)
+    quarters = Tubes(pieces, root, np.repeat(tubes.doubt + doubt, 4), rounding, is_lit)
     near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [
         _Intersections.of_rays(part.take(which), on[which])
