@@ -16,7 +16,7 @@ from twin.transfer import aligned
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
-_INSET = 1e-3  # of the way to the centroid
+_INSET = 1e-2  # of the way to the centroid: rays start off the surface, beyond facets that touch it
 #: A point near the centroid, by shares of the corners; the centroid itself may meet an edge if the
 #: scene is symmetric.
 INSIDE = (0.38, 0.335, 0.285)

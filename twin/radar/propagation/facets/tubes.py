@@ -47,7 +47,8 @@ Indices = NDArray[np.integer]
 _SMOOTH_RAD = 0.7
 _STEP_RAD = 3.0
 _DOUBT = 1.0  # relative error of a tube that is represented by one ray: others of its rays may miss
-_ROUNDED = 2e-7  # of the distance from the anchor: float32 shifts borders by two of its steps
+#: Of the distance from the anchor: by which float32 shifts borders, as measured on hollow bodies.
+_ROUNDED = 5e-7
 _CURVED = 1.0  # relative error of a tube cut at a border, over that border's curvature
 _MOST_CURVATURE = 0.4
 _ALIKE = 0.9  # cosine between facets of one curved surface
@@ -283,8 +284,7 @@ def _by_quarters(
     is_other = np.abs(np.einsum("ij,ij->i", normal[face], normal[at_corner])) < _ALIKE
     also = is_hit & (~is_lit | is_other)
     root, rounding = np.repeat(tubes.root, 4), np.repeat(tubes.rounding, 4)
-    doubt = np.repeat(tubes.doubt + doubt, 4)
-    quarters = Tubes(pieces, root, doubt, rounding, is_lit)
+    quarters = Tubes(pieces, root, np.repeat(tubes.doubt + doubt, 4), rounding, is_lit)
     near = replace(quarters, is_lit=np.zeros_like(is_lit))
     return [
         _Intersections.of_rays(part.take(which), on[which])
