@@ -231,7 +231,7 @@ def test_a_wedge_of_mirrors_takes_more_than_three() -> None:
 def behind_bars() -> Scene:
     """A plate behind bars that throw rays to and fro between each other and the plate."""
     bars = [
-        quad(f"bar {k}", [[7, y, -0.6], [7.1, y, -0.6], [7.1, y + 0.05, 0.6], [7, y + 0.05, 0.6]])
+        quad(f"bar {k}", [[7, y, -0.6], [7.2, y, -0.6], [7.2, y + 0.05, 0.6], [7, y + 0.05, 0.6]])
         for k, y in enumerate(np.arange(-0.6, 0.6, 0.15))
     ]
     return world(plate("plate", (7.6, 0, 0), side=0.8), *bars)
@@ -265,9 +265,8 @@ def test_deep_tubes_without_room_are_told(monkeypatch) -> None:
 
 
 def test_a_pass_is_repeated_for_bodies_that_need_it(monkeypatch) -> None:
-    """The coarse pass takes bars for stronger than they are: two of nine bodies are done again, all
-    others keep what the first pass found. One has no echo after that alone; all are as right as
-    they say.
+    """The coarse pass takes bars for stronger than they are: one of nine bodies is done again, all
+    others keep what the first pass found; all are as right as they say.
     """
     scene, again_of, repeated = behind_bars(), Budget.again_of, []
 
@@ -286,7 +285,8 @@ def test_a_pass_is_repeated_for_bodies_that_need_it(monkeypatch) -> None:
     once = trace(scene, RADAR, fidelity=BY_BOUNDS)
     truth = trace(scene, RADAR, fidelity=EVERYTHING)
     assert max(errors(found, truth).values()) < 1
-    assert {body.name for body in once.bodies} < {body.name for body in found.bodies}
+    of_once = {body.name: body.level_db for body in once.bodies}
+    assert any(of_once.get(body.name) != body.level_db for body in found.bodies)
 
 
 @pytest.mark.whole
