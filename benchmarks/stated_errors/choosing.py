@@ -13,7 +13,9 @@ _DECIDING = (
     ("twin.camera.permitted_error", "PermittedError.of"),
     ("twin.camera.permitted_error", "PermittedError.sun_error"),
     ("twin.optics.problem", "indirect_bound"),
-    ("twin.optics.adaptive", "_wanted"),
+    ("twin.optics.adaptive", "wanted_paths"),
+    ("twin.optics.adaptive", "affordable_paths"),
+    ("twin.optics.adaptive", "_by_other_halves"),
     ("twin.optics.adaptive", "_variances"),
     ("twin.optics.adaptive", "facet_light"),
 )

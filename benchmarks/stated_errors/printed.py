@@ -2,8 +2,9 @@
 
 Both captures draw the same noise of the sensor, so that only the model's part of an interval is
 judged (`Interval.of_model`); shot noise is normal, so that a little more light does not change all
-that is drawn after it. An error of the truth's figure is told by leaving out each of the groups of
-its renders (the jackknife).
+that is drawn after it. It does change which counts are rounded up: differences are the mean of some
+draws of the noise. An error of the truth's figure is told by leaving out each of the groups of its
+renders (the jackknife) and by the scatter of these differences.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,12 +21,12 @@ from twin.camera.acquisition import Capture, measure
 from twin.camera.intervals import background_interval, psnr_interval, snr_interval, ssim_interval
 from twin.camera.rendered import RenderedLight
 from twin.camera.score import psnr_db, similarity
-from twin.camera.verdict import lit_cells
 from twin.trade.camera import CameraCase
 
 Array = NDArray[np.float64]
 
 _METHOD = "lmmse"  # the vehicle's default
+_DRAWS = 8  # of the noise
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,13 @@ class _Measured:
     image: Reconstruction
 
     @classmethod
-    def of(cls, case: CameraCase, rendered: RenderedLight) -> "_Measured":
-        rng = np.random.default_rng([case.seed, 8])
-        taken = measure(case.scene, case.system, rendered, rng=rng, noise="gaussian")
-        return cls(taken, reconstruct(taken.record, METHODS[_METHOD]))
+    def draws(cls, case: CameraCase, rendered: RenderedLight) -> "list[_Measured]":
+        found = []
+        for draw in range(_DRAWS):
+            rng = np.random.default_rng([case.seed, 8, draw])
+            taken = measure(case.scene, case.system, rendered, rng=rng, noise="gaussian")
+            found.append(cls(taken, reconstruct(taken.record, METHODS[_METHOD])))
+        return found
 
 
 @dataclass(frozen=True)
@@ -69,31 +73,35 @@ def printed_figures(
     case: CameraCase, rendered: RenderedLight, truth: LightReference
 ) -> Iterator[PrintedFigure]:
     """Of one case; those without a finite value, as of a saturated record, are left out."""
-    own = _Measured.of(case, rendered)
-    true = _Measured.of(case, truth.in_place_of(rendered))
-    lit, truly_lit = (int(lit_cells(each.capture.scene_e).sum()) for each in (own, true))
+    own = _Measured.draws(case, rendered)
+    true = _Measured.draws(case, truth.in_place_of(rendered))
+    lit, truly_lit = (int(each[0].capture.lit.sum()) for each in (own, true))
     source = "stock Mitsuba"
     if lit != truly_lit:  # the median SNR is that of the lit cells
         source += f", in which {truly_lit} cells are lit, here {lit}"
-    others = [_Measured.of(case, each) for each in truth.without_each_group(rendered)]
+    others = [_Measured.draws(case, each) for each in truth.without_each_group(rendered)]
     for figure in _FIGURES:
         if figure is _SUN and truth.sun_groups is None:
             continue
-        here, there = figure.value(own), figure.value(true)
-        around = [figure.value(each) for each in others]
+        here, there, *around = (
+            np.array([figure.value(each) for each in draws]) for draws in (own, true, *others)
+        )
         if not np.isfinite([here, there, *around]).all():
             continue
-        interval = figure.interval(own).of_model
-        scale = abs(there) if figure.unit == "of it" else 1.0
+        interval = figure.interval(own[0]).of_model
+        scale = abs(float(there.mean())) if figure.unit == "of it" else 1.0
         if not scale:
             continue
-        error = np.sqrt(GROUPS - 1) * np.std(around)
+        error = np.hypot(
+            np.sqrt(GROUPS - 1) * np.std(np.mean(around, axis=1)),
+            np.std(here - there, ddof=1) / np.sqrt(_DRAWS),
+        )
         yield PrintedFigure(
             figure=figure.name,
             unit=figure.unit,
             stated=interval.half_width / scale,
             systematic=interval.systematic / scale,
-            true=abs(here - there) / scale,
+            true=abs(float(np.mean(here - there))) / scale,
             truth_error=TWO_SIDED_95 * float(error) / scale,
             truth=source,
         )
@@ -119,7 +127,7 @@ def _sun_interval(measured: _Measured) -> Interval:
 
 def _median_snr(measured: _Measured) -> float:
     capture = measured.capture
-    lit = lit_cells(capture.scene_e)
+    lit = capture.lit
     return float("nan") if capture.void or not lit.any() else float(np.median(capture.snr[lit]))
 
 

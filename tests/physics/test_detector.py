@@ -13,6 +13,7 @@ from scipy import constants, stats
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.records import Flag, QuaternionPose
 from twin.detector import FrontEnd, expose, noise_budget
+from twin.detector.noise import settled_share
 from twin.system import System, load_part, load_system
 
 ALARM = 1e-6
@@ -173,3 +174,20 @@ def test_pixel_noise_is_what_reconstruction_shows() -> None:
     expected = budget.pixel_noise_e(patterns)
     spread = np.sqrt(1 / (2 * 4095))
     assert abs(image.std() / expected - 1) < stats.norm.isf(ALARM / 2) * spread
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.1, 0.2, 0.35, 0.6])
+def test_how_much_of_rounding_follows_from_the_place_between_two_steps(steps: float) -> None:
+    """Brute force: the mean error of rounding at 1000 places, from the normal distribution's share
+    of each step, over 1/12.
+    """
+    place = (np.arange(1000) + 0.5) / 1000 - 0.5
+    level = np.arange(-8, 9)
+    if steps:
+        ends = stats.norm.cdf((level[:, None] + np.array([[-0.5], [0.5]])[:, None] - place) / steps)
+        mean = level @ (ends[1] - ends[0])
+    else:
+        mean = np.round(place)
+    assert settled_share(steps * np.sqrt(12)) == pytest.approx(
+        12 * np.mean((mean - place) ** 2), rel=1e-3 if steps else 0.1, abs=1e-12
+    )

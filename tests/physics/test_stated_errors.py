@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from benchmarks.stated_errors import light, light_cases, radar, radar_cases
 from benchmarks.stated_errors.cells import AIM, CellErrors, compared
+from benchmarks.stated_errors.choosing import Choosing
 from benchmarks.stated_errors.judged import Cheapest, Judged, summary
 from benchmarks.stated_errors.light_reference import LightReference
 from benchmarks.stated_errors.light_truth import Renderer, SunRenderer, covers
@@ -33,6 +34,13 @@ def test_a_case_depends_on_seed_and_number_alone(cases: Callable[..., Iterator[A
         assert np.array_equal(a.vertices_m, b.vertices_m)
     first, second = (c.scene.objects[0].vertices_m for c in (one, other))
     assert first.shape != second.shape or not np.allclose(first, second)
+
+
+def test_functions_that_decide_are_found() -> None:
+    """They are named by text: a renamed one would end the benchmark."""
+    with Choosing() as choosing:
+        pass
+    assert choosing.seconds == 0
 
 
 def _judged(stated: float, true: float, **more: object) -> Judged:

@@ -8,6 +8,7 @@ variable of n and 0.965 lies below 0.93 n: 2 % for 100 cases, 0.01 % for 400.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tests.physics.radar_worlds import RADAR, ball, plate, trihedral, world
 from tests.still import still_yard
 from twin.accuracy import Interval
 from twin.camera.acquisition import Capture, measure
-from twin.camera.intervals import capture_intervals, score_intervals, snr_errors
+from twin.camera.intervals import ScoreIntervals, capture_intervals, score_intervals, snr_errors
 from twin.camera.light import render
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
@@ -119,6 +120,36 @@ def test_bounces_cut_off_are_within_the_systematic_error() -> None:
     cells, figures = _cases(scene, system, Fidelity(samples=256, max_depth=1))
     assert np.mean(cells) >= _ENOUGH
     assert np.mean(figures) >= _ENOUGH - 0.05
+
+
+@pytest.mark.parametrize("place", [40, 136, 170])
+def test_scores_are_as_uncertain_as_the_brightest_cell(place: int) -> None:
+    """A facet ten times as bright as all else in one cell, known to a fifth: PSNR and SSIM refer to
+    its light, and their intervals hold those with it a fifth brighter and duller.
+    """
+    scene, system = still_yard(), small("workable")
+    light = render(scene, system, fidelity=Fidelity(samples=64), seed=np.random.SeedSequence(0))
+    is_bright = np.arange(light.light.cells.size).reshape(light.light.cells.shape) == place
+    bright = 10 * light.light.cells.max()
+
+    def scores(brightness: float, error: float) -> ScoreIntervals:
+        cells = np.where(is_bright, brightness, light.light.cells)
+        changed = replace(light.light, cells=cells, error=np.where(is_bright, error, 0.0))
+        taken = measure(
+            scene,
+            system,
+            replace(light, light=changed),
+            rng=np.random.default_rng(7),
+            noise="gaussian",
+        )
+        return score_intervals(taken, hardware.reconstruct(taken.record, "lmmse"))
+
+    found, exact = scores(bright, 0.2 * bright), scores(bright, 0.0)
+    for other in (scores(0.8 * bright, 0.0), scores(1.2 * bright, 0.0)):
+        for name in ("psnr_db", "ssim"):
+            interval, width = getattr(found, name), getattr(exact, name).of_model.half_width
+            assert interval.of_model.holds(getattr(other, name).value)
+            assert width < 0.2 * interval.of_model.half_width
 
 
 def test_an_interval_that_is_too_narrow_is_found() -> None:

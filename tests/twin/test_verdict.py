@@ -15,7 +15,7 @@ from twin.camera.acquisition import Capture, capture
 from twin.camera.evaluation import evaluate
 from twin.camera.mounting import field_points
 from twin.camera.score import score
-from twin.camera.verdict import warnings_of_record
+from twin.camera.verdict import lit_cells, warnings_of_record
 from twin.fidelity import Fidelity
 from twin.scene import Scene, load_scene, parse_pose
 from twin.system import System, load_system
@@ -93,6 +93,17 @@ def test_an_empty_background_is_not_counted() -> None:
     assert verdict.snr_median == pytest.approx(np.median(found.snr[lit]), rel=0.05)
     assert verdict.snr_median > 100
     assert score(found.cells_e, reconstruct(found.record, "zero-fill").picture).psnr_db > 55
+
+
+def test_cells_without_a_surface_are_not_lit() -> None:
+    """An emitter whose cells are blurred puts faint light into cells beside an object, and the more
+    paths there are the more of these have any: the median does not count them.
+    """
+    light, albedo = np.array([1.0, 0.5, 1e-3, 0.0]), np.array([0.5, 0.3, 0.0, 0.2])
+    assert lit_cells(light, albedo).tolist() == [True, True, False, False]
+    # Of an object that no sample of the truth has met, all light counts.
+    assert lit_cells(light, np.zeros(4)).tolist() == [True, True, True, False]
+    assert not lit_cells(np.zeros(4), albedo).any()
 
 
 def test_nothing_in_sight_is_void() -> None:

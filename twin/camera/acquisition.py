@@ -28,6 +28,7 @@ from twin.camera.verdict import (
     combined_warnings,
     judge,
     lag_warnings,
+    lit_cells,
     saturated_detectors,
     warnings_of_record,
 )
@@ -94,7 +95,12 @@ class Capture:
     @property
     def verdict(self) -> ImageVerdict:
         """Quality of an image of this record."""
-        return judge(self.scene_e, self.snr, self.warnings, self.range_error)
+        return judge(self.lit, self.snr, self.warnings, self.range_error)
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """Cells that show a surface and have light from it, (rows, columns)."""
+        return lit_cells(self.scene_e, self.truth.albedo)
 
     @property
     def scene_e(self) -> Array:

@@ -24,7 +24,6 @@ from twin.camera.acquisition import Capture
 from twin.camera.follows import Follows
 from twin.camera.noise_scatter import scatter_of_scores
 from twin.camera.score import in_words, psnr_db, similarities, similarity
-from twin.camera.verdict import lit_cells
 
 Array = NDArray[np.float64]
 
@@ -41,6 +40,10 @@ _STEP = 1e-3
 _ABOUT, _LEAST_PAIRS = 2.0, 100
 _QUANTILES, _OF_NORMAL = (0.5, 0.75, 0.9), np.array([0.4549, 1.3233, 2.7055])
 _ACROSS = (slice(None), slice(1, None)), (slice(None), slice(-1))
+#: Factor by which a draw is that of two errors.
+_TWICE = math.sqrt(2)
+#: Of the peak, the largest excess that is taken from it.
+_MOST = 0.9
 #: Cells to a side of blocks whose errors change sign together.
 _BLOCK = 4
 
@@ -99,7 +102,7 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
     from the true one, where they are as large as stated. Stated errors of single cells are bounds
     on the safe side; the median's are taken no larger than neighbouring cells let them be.
     """
-    lit = lit_cells(capture.scene_e)
+    lit = capture.lit
     if capture.void or not lit.any():
         return Interval(0.0 if quantity == "above 1" else np.nan)
     value, error, scene_e = _OF_SNR[quantity], capture.model_error, capture.scene_e
@@ -196,7 +199,8 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
 
     With d an error of the truth, of which the image follows all but u, the mean square of the
     image's error e is off by 2 mean(e u) + mean(u^2): the first as random as d, the second always
-    upward. The peak is off as the brightest cell is, and e as the noise is, which grows with light.
+    upward. The peak is off as the brightest of all cells is, and e as the noise is, which grows
+    with light.
     """
     truth, off = capture.measured_scene_e, _off(capture, image)
     known, value = np.isfinite(truth), psnr_db(truth, image.picture - capture.backscatter_e)
@@ -204,19 +208,17 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
         return Interval(value)
     of_draw, of_bound = _unfollowed(capture, image)
     unfollowed, bound = of_draw[known], np.abs(of_bound[known])
-    spread_e, bound_e = capture.cells_error_e, capture.light_systematic_e + 0 * truth
-    brightest = np.unravel_index(np.nanargmax(truth), truth.shape)
-    peak, mean_square, error = truth[brightest], float(np.mean(off[known] ** 2)), off[known]
+    peak, mean_square, error = _peak(capture), float(np.mean(off[known] ** 2)), off[known]
     change = 2 * float(np.linalg.norm(error * unfollowed)) / error.size
     shift = float(np.mean(unfollowed**2) + np.mean(2 * np.abs(error) * bound + bound**2))
     noise = noise_interval(capture)
     statistical = (
-        _in_db(spread_e[brightest] / peak),
+        _in_db(peak.error),
         _in_db(change / mean_square) / 2,
         _in_db(noise.standard_error / noise.value),
     )
     systematic = (
-        _in_db(bound_e[brightest] / peak),
+        _in_db(peak.excess) + _in_db(peak.bound),
         _in_db(shift / mean_square) / 2,
         _in_db(noise.systematic / noise.value),
         # In the image as more noise, which exact light would not have.
@@ -227,8 +229,8 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
 
 
 def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
-    """SSIM of a reconstruction of a capture with its interval, from draws of the cells' errors and
-    of the noise.
+    """SSIM of a reconstruction of a capture with its interval, from draws of the cells' errors, of
+    the brightest cell's among them, and of the noise.
     """
     truth, seen = capture.measured_scene_e, image.picture - capture.backscatter_e
     known, value = np.isfinite(truth), similarity(truth, seen)
@@ -238,24 +240,65 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     noise, off = noise_interval(capture), seen - truth
     # One draw and what the image leaves of it; others have blocks of it with the opposite sign.
     draw, (rest, rest_of_bound) = _drawn(capture), _unfollowed(capture, image)
-    moves = [(sign * draw, sign * rest) for sign in _image_draws(truth.shape)[1]]
+    signs = _image_draws(truth.shape)[1]
+    moves = [(by * sign * draw, by * sign * rest) for by in (1.0, _TWICE) for sign in signs]
     bound = capture.light_systematic_e + 0 * truth
     is_bounded = bool(np.isfinite(bound[known]).all() and bound[known].any())
     if is_bounded:
         moves.append((bound, rest_of_bound))
-    noisier, *drawn = similarities(
-        [truth, *(truth + by for by, _ in moves)],
-        [truth + (1 + _STEP) * off, *(seen + by + left for by, left in moves)],
+    peak = _peak(capture)
+    changes = peak.error, -min(peak.excess, _MOST), peak.bound if is_bounded else 0.0
+    peaks = [peak.value * (1 + change) for change in changes]
+    noisier, brighter, duller, brightest, *drawn = similarities(
+        [truth] * 4 + [truth + by for by, _ in moves],
+        [truth + (1 + _STEP) * off, *[seen] * 3, *(seen + by + left for by, left in moves)],
+        [peak.value, *peaks, *[peak.value] * len(moves)],
     )
     by_noise = (noisier - value) / _STEP / noise.value
     at_bound = drawn.pop() if is_bounded else np.inf if bound[known].any() else value
-    statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
-    systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
-    systematic += abs(at_bound - value)
+    once, twice = np.reshape(drawn, (2, -1))
+    statistical = np.linalg.norm(
+        [_VERY_FEW * np.std(once, ddof=1), by_noise * noise.standard_error, brighter - value]
+    )
+    # From the truth with one, two and three errors of the same size to that without any: along a
+    # straight line, or a parabola where that leads farther.
+    further, still_further = float(once.mean()) - value, float(twice.mean()) - value
+    systematic = max(abs(further), abs(3 * further - still_further))
+    systematic += abs(by_noise) * noise.systematic
+    systematic += abs(at_bound - value) + abs(duller - value) + abs(brightest - value)
     more_noise = math.hypot(1, capture.model_error.scatter) - 1
     systematic += abs(by_noise) * noise.value * more_noise
     scatter = scatter_of_scores(capture, image).ssim
     return Interval(value, float(statistical), float(systematic), scatter)
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """The brightest cell, to which scores refer, electrons.
+
+    Of it, relative: its standard ``error``, its ``excess``, since the brightest of cells with
+    errors is brighter than the true one in the mean, and the ``bound`` of what was left out.
+    """
+
+    value: float
+    error: float
+    excess: float
+    bound: float
+
+
+def _peak(capture: Capture) -> _Peak:
+    truth = capture.measured_scene_e
+    known = np.isfinite(truth)
+    value = float(truth[known].max())
+    draws, _ = _normal_draws(int(known.sum()))
+    drawn = (truth[known] + capture.cells_error_e[known] * draws).max(axis=1) / value
+    bound = capture.light_systematic_e + 0 * truth
+    return _Peak(
+        value,
+        _FEW * float(drawn.std(ddof=1)),
+        max(float(drawn.mean()) - 1, 0.0),
+        float(bound[np.unravel_index(np.nanargmax(truth), truth.shape)]) / value,
+    )
 
 
 def _signs_of_blocks(shape: tuple[int, ...], rng: np.random.Generator) -> Array:

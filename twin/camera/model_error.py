@@ -4,12 +4,14 @@ Statistical errors are those of light's finitely many paths, systematic ones bou
 out. Neither is the sensor's own noise.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.chain import Chain, Powers
+from twin.detector.noise import settled_share
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -53,6 +55,7 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
     by_signal, by_background = _noise_slopes(chain, signal_w, power.sun_w)
     noise = np.hypot(by_signal * signal, by_background * background)
     noise_systematic = by_signal * signal_systematic + by_background * background_systematic
+    noise_systematic += _uneven_rounding(chain, signal_w, power.sun_w)
     ones = np.ones_like(cells_w)
     weight, sun_weight = (_ratio(each, each.sum()) for each in (total_w, power.sun_w))
     return ModelError(
@@ -82,6 +85,20 @@ def _noise_slopes(chain: Chain, signal_w: Array, sun_w: Array) -> tuple[Array, A
     here, step = log_noise(1.0, 1.0), np.log1p(_STEP)
     by_signal, by_background = log_noise(1 + _STEP, 1.0), log_noise(1.0, 1 + _STEP)
     return (by_signal - here) / step, (by_background - here) / step
+
+
+def _uneven_rounding(chain: Chain, signal_w: Array, sun_w: Array) -> Array:
+    """Relative error of each detector's noise where other noise is less than the converter's step:
+    the part of rounding's error that follows from where light lies between two steps may be nothing
+    or twice its mean for light a little other.
+    """
+    found = []
+    for budget in chain.noise_by_detector(signal_w, sun_w):
+        total, rounding = budget.total_noise_e, budget.noise_e.get("quantisation", 0.0)
+        other = math.sqrt(max(total**2 - rounding**2, 0.0))
+        share = settled_share(other / rounding) if rounding else 0.0
+        found.append(share * (rounding / total) ** 2 / 2 if total else 0.0)
+    return np.array(found)
 
 
 def _ratio(part: Array, whole: Array | float) -> Array:

@@ -77,20 +77,26 @@ def similarity(truth: Array, image: Array) -> float:
     return float(structural_similarity(*pair, data_range=peak, win_size=window))
 
 
-def similarities(truths: Sequence[Array], images: Sequence[Array]) -> Array:
-    """SSIM of each of several pairs of one shape (rows, columns), in one pass over all of them."""
+def similarities(
+    truths: Sequence[Array], images: Sequence[Array], peaks: Sequence[float] | None = None
+) -> Array:
+    """SSIM of each of several pairs of one shape (rows, columns), in one pass over all of them.
+
+    ``peaks``: of each pair, by default its truth's brightest cell.
+    """
     from skimage.metrics import structural_similarity
 
     shape = truths[0].shape
     window = _window(shape)
     if window < 3:
         return np.full(len(truths), np.nan)
-    # One above the other, each by its own peak, which leaves SSIM as it is; windows that reach from
+    # One above the other, each over its peak, which leaves SSIM as it is; windows that reach from
     # one to the next are cut off, as those at the borders are in any image.
+    if peaks is None:
+        peaks = [float(np.nanmax(truth, initial=0.0)) for truth in truths]
     pairs = []
-    for truth, image in zip(truths, images, strict=True):
+    for truth, image, peak in zip(truths, images, peaks, strict=True):
         known = np.isfinite(truth)
-        peak = float(truth[known].max(initial=0.0))
         pairs.append([np.where(known, pixels, 0.0) / (peak or 1.0) for pixels in (truth, image)])
     both = (np.concatenate(stack) for stack in zip(*pairs, strict=True))
     _, places = structural_similarity(*both, data_range=1.0, win_size=window, full=True)

@@ -21,8 +21,7 @@ Bools = NDArray[np.bool_]
 #: `Distortion` covers smaller shares.
 VOID_SHARE = 0.5
 
-#: A cell counts as lit above this share of the brightest one: blur and stray paths of the renderer
-#: leave less than that in an empty background.
+#: A cell counts as lit above this share of the brightest one: rounding leaves less than that.
 LIT = 1e-6
 
 #: Step of the converter over all other noise above which rounding no longer acts as noise: with
@@ -38,12 +37,12 @@ _HIDDEN, _LOST = 0.1, 0.01
 class ImageVerdict:
     """Quality of an image of a record.
 
-    ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the lit cells;
-    nan where the record is void. ``lit_share``: share of lit cells. ``above_noise_share``: share
-    of the lit cells whose signal exceeds their noise. ``void_because``: the warnings that make the
-    record void. ``range_error``: error of distances due to backscatter. ``not_within``: warnings of
-    light whose error is more than its tolerance. ``snr_interval``: the median with the error of the
-    model, where it is known.
+    ``snr_median``, ``snr_best``: signal over noise and distortion per pixel, over the lit cells
+    (`lit_cells`); nan where the record is void. ``lit_share``: share of lit cells.
+    ``above_noise_share``: share of the lit cells whose signal exceeds their noise.
+    ``void_because``: the warnings that make the record void. ``range_error``: error of distances
+    due to backscatter. ``not_within``: warnings of light whose error is more than its tolerance.
+    ``snr_interval``: the median with the error of the model, where it is known.
     """
 
     snr_median: float
@@ -81,19 +80,26 @@ class ImageVerdict:
         )
 
 
-def lit_cells(cells_e: Array) -> Bools:
-    """Whether each cell is lit, in the shape of ``cells_e``."""
-    return cells_e > LIT * cells_e.max(initial=0.0)
+def lit_cells(cells_e: Array, albedo: Array) -> Bools:
+    """Whether each cell is lit: it shows a surface (``albedo``, the truth's), and has light.
+
+    Of cells that show none, in which blur puts faint light, paths find more the more there are:
+    they count only where no cell with a surface has light. All of one shape.
+    """
+    with_light = cells_e > LIT * cells_e.max(initial=0.0)
+    lit = with_light & (albedo > 0)
+    return lit if lit.any() else with_light
 
 
 def judge(
-    cells_e: Array,
+    lit: Bools,
     snr: Array,
     warnings: Sequence[CaptureWarning],
     range_error: BackscatterRangeError | None = None,
 ) -> ImageVerdict:
-    """Verdict on an image from its cells, their SNR, and the warnings of its record."""
-    lit = lit_cells(cells_e)
+    """Verdict on an image from the SNR of its cells and which of them are ``lit``, and the warnings
+    of its record.
+    """
     void = tuple(w for w in warnings if w.void)
     share = float(lit.mean())
     if is_void(warnings) or not lit.any():

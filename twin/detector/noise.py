@@ -12,6 +12,8 @@ from twin.errors import InputError
 
 Array = NDArray[np.float64]
 
+_HARMONICS = np.arange(1, 9)
+
 
 @dataclass(frozen=True)
 class NoiseBudget:
@@ -83,3 +85,16 @@ class NoiseBudget:
         if patterns.mode == "reference":
             gain += 2 * inverse.sum(axis=1) ** 2
         return np.asarray(self.total_noise_e * np.sqrt(gain))
+
+
+def settled_share(noise_over_rounding: float) -> float:
+    """Share of the variance of a converter's rounding that follows from where a signal lies between
+    two steps, 0 to 1; the rest differs from one draw of the noise to the next.
+
+    ``noise_over_rounding``: other noise, normal, over the step over sqrt(12). The mean error at one
+    place is a Fourier series over the step, each harmonic k smaller by exp(-2 (pi k s)^2) with a
+    noise of s steps (Widrow, Statistical theory of quantization, 1996).
+    """
+    steps = noise_over_rounding / math.sqrt(12)
+    harmonics = np.exp(-((2 * np.pi * _HARMONICS * steps) ** 2)) / (np.pi * _HARMONICS) ** 2
+    return min(6 * float(harmonics.sum()), 1.0)

@@ -8,7 +8,6 @@ import numpy as np
 from hardware.formatting import number, quantity_text, si
 from twin.accuracy import Figure, Interval
 from twin.camera.evaluation import Evaluation
-from twin.camera.verdict import lit_cells
 from twin.detector import FrontEnd
 from twin.report.levers import Lever, camera_levers
 from twin.system import System
@@ -82,7 +81,7 @@ def _distances(evaluation: Evaluation) -> tuple[float, float, float]:
     depth_m, snr = capture.truth.depth_m, capture.snr
     if depth_m.shape != snr.shape:  # several detectors side by side
         return np.nan, np.nan, np.nan
-    lit = lit_cells(capture.scene_e) & np.isfinite(depth_m)
+    lit = capture.lit & np.isfinite(depth_m)
     if not lit.any():
         return np.nan, np.nan, np.nan
     order = np.argsort(depth_m[lit], kind="stable")
@@ -200,7 +199,7 @@ def _remedy(evaluation: Evaluation, kinds: set[str], reasons: str) -> tuple[str,
         return limit, f"a gain, or light, {number(4 * step_e / swing_e)} times as high (four steps)"
     if "lag" in kinds:
         return f"lag: {reasons}", "a longer acquisition.pattern_period_s, or a faster amplifier"
-    if not lit_cells(capture.scene_e).any():
+    if not capture.lit.any():
         return (
             f"no light comes back: {light}, all of it sun and dark current",
             "another pose of the rig, or a surface in the emitter's field",

@@ -13,7 +13,6 @@ from hardware.radar import Detection
 from twin.accuracy import Decision, Figure, Interval, propagated
 from twin.camera.evaluation import Evaluation
 from twin.camera.intervals import signal_power_interval, sun_power_interval
-from twin.camera.verdict import lit_cells
 from twin.camera.view import View
 from twin.errors import InputError
 from twin.optics.hazards import least_margins
@@ -162,7 +161,7 @@ def _range_errors(evaluation: Evaluation) -> Iterator[Figure]:
 def _cell_errors(evaluation: Evaluation) -> Iterator[Figure]:
     """What the model's light is off by in the cells: figures of the errors themselves."""
     capture = evaluation.capture
-    lit, of = lit_cells(capture.scene_e), (evaluation.system.name,)
+    lit, of = capture.lit, (evaluation.system.name,)
     if not lit.any():
         return
     over_noise = capture.cells_error_e / capture.noise.pixel_noise_e(evaluation.system.patterns)

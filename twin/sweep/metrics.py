@@ -20,7 +20,6 @@ from twin.camera.intervals import (
     ssim_interval,
 )
 from twin.camera.score import Score, score_of
-from twin.camera.verdict import lit_cells
 from twin.errors import InputError
 from twin.radar.detection_count import targets_detected
 from twin.radar.evaluation import RadarEvaluation
@@ -110,7 +109,7 @@ def _pixel_terms(
     times = (times_signal, times_sun, 1.0)
     linear = [noise[name] * math.sqrt(x) for name, x in zip(shot, times, strict=True)]
     linear.append(noise["Johnson noise of the amplifier"])
-    lit = taken.scene_e[lit_cells(taken.scene_e)]
+    lit = taken.scene_e[taken.lit]
     signal = times_signal * float(np.median(lit)) / factor / time if lit.size else 0.0
     return (
         signal,
@@ -143,7 +142,7 @@ def maximum_distance_m(
     """
     s, c, r, g = _pixel_terms(outcome, times_signal, times_sun)
     taken = outcome.capture
-    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & lit_cells(taken.scene_e)]
+    depth = taken.truth.depth_m[np.isfinite(taken.truth.depth_m) & taken.lit]
     if not depth.size or s <= 0:
         return math.nan
     time = outcome.setup.system.acquisition.integration_time_s.value
