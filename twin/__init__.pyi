@@ -51,6 +51,7 @@ from twin.system import system_names as system_names
 from twin.toml import Sourced as Sourced
 from twin.trade import Trade as Trade
 from twin.trade import choose_fidelity as choose_fidelity
+from twin.trade import fidelity_for_scores as fidelity_for_scores
 from twin.trade import fidelity_within as fidelity_within
 from twin.trade import run_trade as run_trade
 

@@ -10,7 +10,7 @@ from hardware.commands.quantities import quantity_of
 from hardware.formatting import quantity_text
 
 if TYPE_CHECKING:
-    from twin.fidelity import Fidelity
+    from twin.fidelity import Fidelity, Tolerance
     from twin.radar import RadarDesign
     from twin.scene import Scene
     from twin.system import System
@@ -26,8 +26,8 @@ ToleranceOption = Annotated[
     str | None,
     typer.Option(
         help="Error that the model may have: a share of the sensors' own noise (0.2), or an error "
-        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance of the radar (2 mm); "
-        "several with commas in between."
+        "of a cell's light (1 %), of an echo's level (0.5 dB), of a distance of the radar (2 mm), "
+        "of a score of the image (PSNR 0.1 dB, SSIM 0.01); several with commas in between."
     ),
 ]
 FidelityOption = Annotated[
@@ -89,8 +89,8 @@ def knobs_asked(
     tolerance: str | None,
     within: float | None,
 ) -> "Fidelity":
-    """The knobs that the options ask for; what a time allows is measured on the scene that ``load``
-    gives, and printed. Raises InputError.
+    """The knobs that the options ask for; what a time allows, or a score takes, is measured on the
+    scene that ``load`` gives, and printed. Raises InputError.
     """
     from twin.fidelity import Tolerance, knobs_of
 
@@ -100,8 +100,26 @@ def knobs_asked(
         asked = None if tolerance is None else Tolerance.of(tolerance)
         if asked is not None:
             asked.check_sensors(camera=system is not None, radar=radar is not None)
+            if asked.of_scores:
+                assert system is not None
+                return knobs_for_scores(say, load, asked, system, bandwidth_hz)
         return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
     return knobs_within(say, load, system, radar, within)
+
+
+def knobs_for_scores(
+    say: Output,
+    load: "Callable[[], Scene]",
+    tolerance: "Tolerance",
+    system: "System | str",
+    bandwidth_hz: float | None = None,
+) -> "Fidelity":
+    """The knobs by which scores are as exact as asked, found on the scene and printed."""
+    from twin.trade import fidelity_for_scores
+
+    chosen = fidelity_for_scores(load(), tolerance, system=system, bandwidth_hz=bandwidth_hz)
+    say.line(f"tolerance {tolerance}: {chosen}")
+    return chosen.fidelity
 
 
 def only_one(fidelity: str | None, tolerance: str | None, within: float | None) -> None:

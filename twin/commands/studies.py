@@ -14,6 +14,7 @@ from twin.commands.arguments import (
     SceneArgument,
     ToleranceOption,
     WithinOption,
+    knobs_for_scores,
     knobs_within,
     only_one,
 )
@@ -92,7 +93,9 @@ def _accuracy_asked(
     tolerance: str | None,
     within: float | None,
 ) -> "Accuracy | None":
-    """What the options ask for; a time is measured on the first point, unless the folder has it."""
+    """What the options ask for; what a time allows or a score takes is measured on the first point,
+    unless the folder has it.
+    """
     from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import with_accuracy
     from twin.sweep.inputs import inputs_of
@@ -101,12 +104,17 @@ def _accuracy_asked(
     from twin.sweep.store import stored_tolerance
 
     only_one(fidelity, tolerance, within)
-    if within is None:
-        return fidelity if tolerance is None else Tolerance.of(tolerance)
+    asked = None if tolerance is None else Tolerance.of(tolerance)
+    of_scores = asked is not None and asked.of_scores
+    if within is None and not of_scores:
+        return asked or fidelity
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
     if knobs := stored_tolerance(folder_of(study, out)):
         return knobs
     first = setup(study, study.point(0), inputs_of(study))
+    if asked is not None and of_scores:
+        return knobs_for_scores(say, lambda: first.scene, asked, first.system)
+    assert within is not None
     return knobs_within(say, lambda: first.scene, first.system, first.radar, within)
 
 

@@ -17,8 +17,14 @@ _LIMITS = {
     "cell_share": (1e-5, 1.0),
     "echo_db": (20 * math.log10(1 + _RADAR[0]), 20 * math.log10(1 + _RADAR[1])),
     "distance_m": (0.0, math.inf),
+    "psnr_db": (1e-3, 20.0),
+    "ssim": (1e-4, 1.0),
 }
-_EXPECTED = 'expected a share of the noise (0.2), "1 %" of a cell, "0.5 dB" of an echo or "2 mm"'
+_SCORES = {"psnr": "psnr_db", "ssim": "ssim"}
+_EXPECTED = (
+    'expected a share of the noise (0.2), "1 %" of a cell, "0.5 dB" of an echo, "2 mm", '
+    '"PSNR 0.1 dB" or "SSIM 0.01"'
+)
 _SPEED_OF_LIGHT = 299_792_458.0
 
 
@@ -45,17 +51,23 @@ class Tolerance:
         Of the distance of a body by its radar echo, in place of its share. An error of the echo
         that grows linearly over the band moves it the most: relative to the echo e rms over a
         bandwidth B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar.
+    psnr_db, ssim
+        Of the image's scores, in place of a share of the noise, 0.001 to 20 dB and 0.0001 to 1:
+        half the width of their intervals, as far as these are the model's. What light that takes
+        depends on scene and system, and is found by `twin.fidelity_for_scores`.
 
-    >>> Tolerance(0.4)
-    Tolerance(noise_share=0.4, cell_share=None, echo_db=None, distance_m=None)
-    >>> Tolerance.of("0.1, 0.5 dB")
-    Tolerance(noise_share=0.1, cell_share=None, echo_db=0.5, distance_m=None)
+    >>> Tolerance(0.4).knobs().light_tolerance
+    0.4
+    >>> str(Tolerance.of("0.1, 0.5 dB"))
+    '0.1, 0.5 dB'
     """
 
     noise_share: float = DEFAULT_SHARE
     cell_share: float | None = None
     echo_db: float | None = None
     distance_m: float | None = None
+    psnr_db: float | None = None
+    ssim: float | None = None
 
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
@@ -65,16 +77,21 @@ class Tolerance:
             if not is_number(value) or not low <= value <= high or value in (0, math.inf):
                 within = f"in {low:.3g} to {high:.3g}" if high < math.inf else "above 0"
                 raise InputError(f"tolerance: {name}: {value!r:.60} is not {within}")
+        if self.of_scores and self.cell_share is not None:
+            raise InputError(f"tolerance: {self}: expected cells or a score, not both")
 
     @classmethod
     def of(cls, text: str) -> "Tolerance":
         """From text: a number is a share of the noise, one in per cent of a cell's light, one in
-        dB of an echo, one in metres of a distance; more than one with commas in between.
+        dB of an echo, one in metres of a distance, one after PSNR or SSIM of that score; more than
+        one with commas in between.
 
         Raises InputError.
 
         >>> Tolerance.of("2 mm").distance_m
         0.002
+        >>> Tolerance.of("PSNR 0.1 dB").psnr_db
+        0.1
         """
         if not isinstance(text, str):
             raise InputError(f"tolerance: {text!r:.60} is no text; {_EXPECTED}")
@@ -82,7 +99,7 @@ class Tolerance:
         for item in text.split(","):
             name, unit = _meant(item.strip())
             try:
-                value = quantity(item.strip(), unit, bare=unit is None)
+                value = quantity(item.strip()[_start(item.strip()) :], unit, bare=unit is None)
             except InputError:
                 raise InputError(f"tolerance: {text!r:.60}: {_EXPECTED}") from None
             if name in given:
@@ -99,7 +116,16 @@ class Tolerance:
         cell = None if self.cell_share is None else 100 * self.cell_share
         others = ((cell, "%"), (self.echo_db, "dB"), (self.distance_m, "m"))
         told = [f"{value!r} {unit}" for value, unit in others if value is not None]
+        if self.psnr_db is not None:
+            told.append(f"PSNR {self.psnr_db!r} dB")
+        if self.ssim is not None:
+            told.append(f"SSIM {self.ssim!r}")
         return ", ".join([repr(self.noise_share), *told])
+
+    @property
+    def of_scores(self) -> bool:
+        """Whether a score of the image is to be as exact as asked."""
+        return self.psnr_db is not None or self.ssim is not None
 
     def check_sensors(self, *, camera: bool, radar: bool) -> None:
         """Raise InputError for an error of what a sensor measures that there is not.
@@ -115,6 +141,8 @@ class Tolerance:
             if camera:
                 text += "; a camera's follow from its light: expected a share of its noise (0.05)"
             raise InputError(f"tolerance: {text}")
+        if self.of_scores and not camera:
+            raise InputError(f"tolerance: {self}: a score of an image, without a camera")
         if self.cell_share is not None and not camera:
             share = 100 * self.cell_share
             raise InputError(f"tolerance: {share:g} % of a cell's light, without a camera")
@@ -129,6 +157,11 @@ class Tolerance:
         >>> round(Tolerance(echo_db=0.5).knobs().radar_tolerance, 4)
         0.0593
         """
+        if self.of_scores:
+            raise InputError(
+                f"tolerance: {self}: what a score takes depends on the scene: expected one that "
+                "twin.fidelity_for_scores, or the command line, has looked at"
+            )
         return Fidelity(
             light_tolerance=self.noise_share if self.cell_share is None else None,
             light_tolerance_relative=self.cell_share,
@@ -161,8 +194,16 @@ class Tolerance:
         return min(max(errors[asked], low), high)
 
 
+def _start(item: str) -> int:
+    """Where the amount starts, after the name of a score."""
+    return next((len(name) for name in _SCORES if item.lower().startswith(name)), 0)
+
+
 def _meant(item: str) -> tuple[str, str | None]:
     """The field that an amount is of, and its unit."""
+    if start := _start(item):
+        name = _SCORES[item[:start].lower()]
+        return name, "dB" if name == "psnr_db" else None
     if item.endswith("%"):
         return "cell_share", None
     if item.endswith("dB"):

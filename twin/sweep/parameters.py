@@ -64,7 +64,7 @@ def check_value(name: str, value: Value) -> Value:
     """
     check_name(name)
     if name == "fidelity.tolerance":
-        Tolerance.of(str(value))
+        Tolerance.of(str(value)).knobs()  # refuses what depends on a scene
         return value
     if isinstance(value, str) and (unit_of(name) or value.rstrip().endswith("%")):
         try:

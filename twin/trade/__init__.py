@@ -3,16 +3,19 @@
 from twin.trade.measurement import Choice, Cost, LevelMeasurement, cheapest, front, most_accurate
 from twin.trade.pareto import choose_fidelity, run_trade
 from twin.trade.result import Trade
+from twin.trade.score_tolerance import ScoredFidelity, fidelity_for_scores
 from twin.trade.time_limit import TimedFidelity, fidelity_within
 
 __all__ = [
     "Choice",
     "Cost",
     "LevelMeasurement",
+    "ScoredFidelity",
     "TimedFidelity",
     "Trade",
     "cheapest",
     "choose_fidelity",
+    "fidelity_for_scores",
     "fidelity_within",
     "front",
     "most_accurate",

@@ -1,0 +1,112 @@
+"""Light as exact as a score of the image is asked for."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import twin
+from hardware import reconstruct
+from twin.camera.acquisition import measure
+from twin.camera.light import render
+from twin.camera.score import score_of
+from twin.cli import app
+from twin.errors import InputError
+from twin.fidelity import Fidelity, Tolerance
+from twin.sweep.parameters import check_value
+from twin.system import System, load_system
+from twin.trade import fidelity_for_scores
+
+
+def small(**changes: object) -> System:
+    """16 x 16 cells, and steps of the converter too fine for rounding to be drawn anew."""
+    usual = {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
+    return load_system("workable").with_({**usual, "readout.adc_bits": 24, **changes})
+
+
+@pytest.mark.parametrize("tolerance", [Tolerance(psnr_db=0.2), Tolerance(ssim=0.003)], ids=str)
+def test_scores_are_as_exact_as_asked(tolerance: Tolerance) -> None:
+    """Of eight renders at the knobs that were found, at least seven have the score of 4096 paths a
+    cell and 12 bounces, with the same noise, to what was asked for: with errors as large as
+    permitted two or more of eight are off by chance in 6 % of cases, and they are smaller. The
+    shares tried before were too large.
+    """
+    scene = twin.load_scene("table1")
+    power = small().emitter.radiant_intensity_w_per_sr.value
+    system = small(**{"emitter.radiant_intensity_w_per_sr": power / 100})
+    found = fidelity_for_scores(scene, tolerance, system=system)
+    assert found.noise_share == found.tried[-1] == found.fidelity.light_tolerance
+    assert list(found.tried) == sorted(set(found.tried), reverse=True)
+    assert len(found.tried) > 1
+
+    def score(fidelity: Fidelity, seed: int) -> tuple[float, float]:
+        light = render(scene, system, fidelity=fidelity, seed=np.random.SeedSequence(seed))
+        rng = np.random.default_rng(7)
+        taken = measure(scene, system, light, rng=rng, noise="gaussian")
+        of_image = score_of(taken, reconstruct(taken.record, found.method).picture)
+        return of_image.psnr_db, of_image.ssim
+
+    exact = score(Fidelity(samples=4096, max_depth=12), 100)
+    off = np.abs([np.subtract(score(found.fidelity, seed), exact) for seed in range(8)])
+    limit = tolerance.psnr_db if tolerance.psnr_db else tolerance.ssim
+    of_score = off[:, 0 if tolerance.psnr_db else 1]
+    assert np.count_nonzero(of_score <= limit) >= 7
+    assert of_score.max() <= 3 * limit
+
+
+def test_both_scores_are_asked_for_by_the_command() -> None:
+    """`run` says what light that takes, and the radar keeps its share of the noise."""
+    asked = Tolerance.of("PSNR 2 dB, SSIM 0.1")
+    assert (asked.psnr_db, asked.ssim) == (2.0, 0.1)
+    assert Tolerance.of(str(asked)) == asked
+    found = fidelity_for_scores("table1", asked, system=small(), bandwidth_hz=1e9)
+    assert found.scores.psnr_db.of_model.half_width <= 2
+    assert found.scores.ssim.of_model.half_width <= 0.1
+    assert found.fidelity.radar_tolerance == Tolerance().knobs(1e9).radar_tolerance
+    assert str(found).startswith(f"light to {found.noise_share:g} of the noise has PSNR to ")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("PSNR 0 dB", "psnr_db: 0.0 is not in 0.001 to 20"),
+        ("PSNR -1 dB", "psnr_db: -1.0 is not"),
+        ("SSIM 2", "ssim: 2.0 is not in 0.0001 to 1"),
+        ("PSNR 3", "expected a share of the noise"),
+        ("PSNR", "expected a share of the noise"),
+        ("SSIM 0.1 dB", "expected a share of the noise"),
+        ("PSNR 1 dB, PSNR 2 dB", "psnr_db twice"),
+        ("PSNR 1 dB, 1 %", "expected cells or a score, not both"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_score(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Tolerance.of(text)
+
+
+def test_where_no_scene_is_looked_at_a_score_is_refused() -> None:
+    asked = Tolerance(ssim=0.01)
+    scene = twin.load_scene("table1")
+    for refused in (asked.knobs, lambda: twin.capture(scene, small(), fidelity=asked)):
+        with pytest.raises(InputError, match=r"twin\.fidelity_for_scores"):
+            refused()
+    with pytest.raises(InputError, match=r"twin\.fidelity_for_scores"):
+        check_value("fidelity.tolerance", "SSIM 0.01")
+    with pytest.raises(InputError, match="expected one of PSNR or SSIM"):
+        fidelity_for_scores("table1", Tolerance(0.1))
+    found = CliRunner().invoke(
+        app, ["run", "table1", "--system", "none", "--tolerance", "SSIM 0.01"]
+    )
+    assert "a score of an image, without a camera" in str(found.exception)
+
+
+def test_a_void_record_has_no_score() -> None:
+    blind = small(**{"readout.transimpedance_ohm": 1e12})
+    with pytest.raises(InputError, match="the record is void: void: "):
+        fidelity_for_scores("table1", Tolerance(psnr_db=0.1), system=blind)
+
+
+def test_what_no_light_gives_is_not_promised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the least error of light is not small enough: here the least is a large one."""
+    monkeypatch.setattr("twin.trade.score_tolerance._LEAST", 1.9)
+    with pytest.raises(InputError, match=r"cannot be promised: at 1\.9 of the noise lmmse"):
+        fidelity_for_scores("table1", Tolerance(psnr_db=0.001), system=small())

@@ -1,0 +1,113 @@
+"""The largest error of light, over the noise, at which scores of an image are as exact as asked."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hardware.formatting import number
+from twin.accuracy import Interval
+from twin.camera import capture
+from twin.camera.evaluation import evaluate
+from twin.camera.intervals import ScoreIntervals
+from twin.errors import InputError
+from twin.fidelity import Fidelity, Tolerance
+from twin.scene import Scene, load_scene
+from twin.scene.mitsuba import mitsuba_scene
+from twin.system import System, load_system
+
+#: Shares of the noise, the largest and least that are tried.
+_MOST, _LEAST = 2.0, 1e-3
+#: Of the share that the last error asks for if errors fall with it, what is tried next; and the
+#: least and largest steps.
+_CAUTION, _STEPS = 0.8, (0.1, 0.7)
+
+
+@dataclass(frozen=True)
+class ScoredFidelity:
+    """Knobs by which scores are as exact as asked: light to ``noise_share`` of the sensor's noise;
+    ``scores``: of the last image, and ``method``, by which it was made; ``tried``: shares in turn.
+    """
+
+    fidelity: Fidelity
+    noise_share: float
+    scores: ScoreIntervals
+    method: str
+    tried: tuple[float, ...]
+
+    def __str__(self) -> str:
+        scores = (
+            f"{name} to {number(interval.of_model.half_width, 2)}{unit}"
+            for name, interval, unit in (
+                ("PSNR", self.scores.psnr_db, " dB"),
+                ("SSIM", self.scores.ssim, ""),
+            )
+        )
+        shares = ", ".join(map(number, self.tried))
+        return (
+            f"light to {number(self.noise_share)} of the noise has {' and '.join(scores)} "
+            f"({self.method}; shares tried: {shares})"
+        )
+
+
+def fidelity_for_scores(
+    scene: str | Path | Scene,
+    tolerance: Tolerance,
+    *,
+    system: str | Path | System = "workable",
+    seed: int = 0,
+    bandwidth_hz: float | None = None,
+) -> ScoredFidelity:
+    """Knobs for a tolerance of PSNR or SSIM: the largest of some shares of the noise, from 2 down,
+    at which the model's part of the intervals of the best bundled reconstruction is within it.
+
+    Frames are captured with ``seed`` until one is exact enough, each with a share that the one
+    before asks for; the last takes most of the time. ``tolerance.noise_share`` is that of the radar
+    alone. ``bandwidth_hz``: of a radar, as `Tolerance.knobs` takes it.
+
+    Raises InputError where no score is asked for, for a void record, and where a thousandth of the
+    noise is not enough, or no light is: what was left out has no bound.
+    """
+    if not tolerance.of_scores:
+        raise InputError(f"tolerance: {tolerance}: expected one of PSNR or SSIM")
+    world = scene if isinstance(scene, Scene) else load_scene(scene)
+    sensor, rendered = load_system(system), mitsuba_scene(world)
+    usual = replace(tolerance, psnr_db=None, ssim=None)
+    share, tried = _MOST, list[float]()
+    while True:
+        knobs = _with_light(usual.knobs(bandwidth_hz), share)
+        taken = capture(world, sensor, seed=seed, fidelity=knobs, mesh_scene=rendered)
+        if taken.void:
+            raise InputError(f"tolerance: {tolerance}: the record is void: {taken.verdict}")
+        found = evaluate(sensor, taken)
+        tried.append(share)
+        scores, method = found.score_intervals[0], found.reconstructions[0].method
+        over = max(_over(tolerance, scores))
+        if over <= 1:
+            return ScoredFidelity(knobs, share, scores, method, tuple(tried))
+        if math.isinf(over) or share <= _LEAST:
+            raise InputError(
+                f"tolerance: {tolerance}: cannot be promised: at {share:.2g} of the noise "
+                f"{method} has {scores}"
+            )
+        least, most = _STEPS
+        share = max(share * min(max(_CAUTION / over, least), most), _LEAST)
+
+
+def _with_light(knobs: Fidelity, share: float) -> Fidelity:
+    """The knobs with light to a share of the noise, and what moves within a frame to half of it."""
+    light = Tolerance(share).knobs()
+    return replace(
+        knobs, light_tolerance=light.light_tolerance, motion_tolerance=light.motion_tolerance
+    )
+
+
+def _over(tolerance: Tolerance, scores: ScoreIntervals) -> Iterator[float]:
+    """The model's part of each score's interval over what is asked."""
+    asked: tuple[tuple[float | None, Interval], ...] = (
+        (tolerance.psnr_db, scores.psnr_db),
+        (tolerance.ssim, scores.ssim),
+    )
+    for limit, interval in asked:
+        if limit is not None:
+            yield interval.of_model.half_width / limit
