@@ -24,6 +24,7 @@ from twin.camera.acquisition import Capture
 from twin.camera.follows import Follows
 from twin.camera.noise_scatter import scatter_of_scores
 from twin.camera.score import in_words, psnr_db, similarities, similarity
+from twin.camera.verdict import LIT
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,8 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
 
     Errors that are drawn to SNRs that have errors already shift a median as those have shifted it
     from the true one, where they are as large as stated. Stated errors of single cells are bounds
-    on the safe side; the median's are taken no larger than neighbouring cells let them be.
+    on the safe side; the median's are taken no larger than neighbouring cells let them be. Cells
+    with a surface in which no light was found, and may be some, count among the lit ones or not.
     """
     lit = capture.lit
     if capture.void or not lit.any():
@@ -124,7 +126,18 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
         systematic += float(np.abs(value(ends) - here).max())
     else:
         systematic = np.inf
+    if n_more := _perhaps_lit(capture, lit):
+        systematic += abs(float(value(np.append(snr, np.zeros(n_more)))) - here)
     return Interval(here, _FEW * float(drawn.std(ddof=1)), systematic)
+
+
+def _perhaps_lit(capture: Capture, lit: NDArray[np.bool_]) -> int:
+    """Number of cells with a surface that exact light might light: in them light was left out, or
+    no path has found any.
+    """
+    most = capture.cells_error_e + capture.light_systematic_e
+    might = most > LIT * capture.scene_e.max(initial=0.0)
+    return int(np.count_nonzero(~lit & might & (capture.truth.albedo > 0)))
 
 
 def _share_seen(snr: Array, error: Array, lit: NDArray[np.bool_]) -> float:

@@ -22,6 +22,7 @@ from twin.radar.propagation.facets.root_tubes import (
     Portions,
     RootTubes,
     TubeEchoes,
+    aligned_errors,
     deep_of_roots,
     of_roots,
     parted,
@@ -208,7 +209,7 @@ class Search:
         )
         # A tube that one ray represents may also meet other planes than that ray does.
         most = np.sqrt(echoes.strength * echoes.gain * np.abs(echoes.amplitude))
-        error = most * tubes.doubt[row]
+        error = aligned_errors(self.context, lit, echoes, most * tubes.doubt[row])
         rounding = most * tubes.rounding[row]
         return TubeEchoes(lit, echoes, tubes.root[row], tubes.is_lit[row], error, rounding)
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.facets.currents import Echoes
 from twin.radar.propagation.facets.error_budget import Budget
 from twin.radar.propagation.facets.triangles import Triangles
+from twin.radar.propagation.one_way.path import TracingContext
 
 Array = NDArray[np.float64]
 
@@ -127,3 +128,20 @@ def of_roots(part: TubeEchoes, roots: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def deep_of_roots(part: TubeEchoes, roots: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which of these are of many reflections."""
     return part.is_deep & roots[part.root]
+
+
+def aligned_errors(context: TracingContext, lit: Triangles, echoes: Echoes, error: Array) -> Array:
+    """Errors of echoes, (n,), each larger by as much as those of the same facets, with the phases
+    of their echoes, add up to more than independent ones do: a straight border cuts a row of tubes
+    alike, so that all are off to the same side.
+    """
+    group: NDArray[np.int64] = lit.first.astype(np.int64)
+    for also in (np.array(lit.face), np.array(lit.source), np.array(lit.receiver), lit.bounces):
+        key = group * (int(also.max(initial=0)) + 1) + also.astype(np.int64)
+        group = np.unique(key, return_inverse=True)[1].reshape(-1)
+    turns = echoes.length_m / float(context.wavelength[0])
+    wave = error * np.exp(1j * (np.angle(echoes.total) - 2 * np.pi * (turns % 1.0)))
+    together = np.hypot(np.bincount(group, wave.real), np.bincount(group, wave.imag))
+    apart = np.sqrt(np.bincount(group, error**2))
+    more = np.divide(together, apart, out=np.ones_like(apart), where=apart > 0)
+    return np.asarray(error * np.maximum(more, 1.0)[group])
