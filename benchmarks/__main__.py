@@ -36,6 +36,7 @@ _ROOMS = (
     "vehicle",
     "stream",
     "motion",
+    "at_rest",
     "lidar",
     "moving_radar",
     "driving",

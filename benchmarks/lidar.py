@@ -38,6 +38,17 @@ class Beside:
     score: Score
     of_single: tuple[Score, ...]
 
+    @property
+    def median_error(self) -> float:
+        """Of a cell, over the brightest one."""
+        return float(np.nanmedian(np.abs(self.image - self.truth)) / np.nanmax(self.truth))
+
+    @property
+    def in_few_cells(self) -> float:
+        """Share of the squared error that the worst 5 % of the cells have."""
+        squares = np.sort(((self.image - self.truth) ** 2)[np.isfinite(self.truth)])
+        return float(squares[-(len(squares) // 20) :].sum() / squares.sum())
+
 
 def beside(
     scene: Scene, systems: Sequence[System], *, seed: int, fidelity: Fidelity = DEFAULT
@@ -83,6 +94,8 @@ def figures() -> Iterator[Figure]:
             yield f"{label}: frames in equal time", float(one.n_frames), ""
             yield f"{label}: PSNR in equal time", one.score.psnr_db, "dB"
             yield f"{label}: SSIM in equal time", one.score.ssim, ""
+            yield f"{label}: median error over the brightest cell", 100 * one.median_error, "%"
+            yield f"{label}: squared error in 5 % of the cells", 100 * one.in_few_cells, "%"
     _draw(found)
 
 

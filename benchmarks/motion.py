@@ -1,6 +1,6 @@
 """Frames of `scenes/crossing` in which the rig, a car and a person move: time, and counts against
-renders of single exposures anew; what a frame costs in which nothing moves; and of `scenes/yard`,
-where a car does, what each accuracy costs with its motion and without.
+renders of single exposures anew; and of `scenes/yard`, where a car does, what each accuracy costs
+with its motion and without.
 """
 
 import time
@@ -45,7 +45,6 @@ def figures() -> Iterator[Figure]:
     """64 x 64 cells of `workable`, differential patterns; everything warm. Processor time, of all
     cores together.
     """
-    yield from _at_rest()
     yield from moving_yard()
     scene = load_scene("crossing")
     for name, fidelity in _ACCURACIES.items():
@@ -69,18 +68,6 @@ def _cpu_s(work: Callable[[], Capture]) -> float:
         work()
         took.append(time.process_time() - before)
     return min(took)
-
-
-def _at_rest() -> Iterator[Figure]:
-    scene, system = load_scene("table1"), load_system("workable")
-    off = replace(DEFAULT, motion_tolerance=None)
-    with_motion, without = (
-        _cpu_s(lambda f=f: capture(scene, system, seed=1, fidelity=f)) for f in (DEFAULT, off)
-    )
-    yield "at rest, motion followed over not followed", with_motion / without, "times the CPU"
-    one, other = (capture(scene, system, seed=1, fidelity=f) for f in (DEFAULT, off))
-    same = np.array_equal(one.record.counts, other.record.counts)
-    yield "at rest, counts that differ", float(not same), ""
 
 
 def moving_yard() -> Iterator[Figure]:

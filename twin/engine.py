@@ -25,6 +25,7 @@ __all__ = [
     "exr_threads",
     "llvm_version",
     "mitsuba",
+    "return_freed_memory",
     "sionna",
 ]
 
@@ -116,6 +117,23 @@ def use_cores(share: float) -> None:
     import drjit as dr
 
     dr.set_thread_count(max(1, round(share * len(os.sched_getaffinity(0)))))
+
+
+def return_freed_memory() -> None:
+    """Have Dr.Jit and the C library hand memory that was freed back to the system, where they can.
+
+    Dr.Jit keeps arrays for later ones of the same size, and glibc what lies below anything that is
+    still in use: after sixteen bursts of the radar 0.8 of 1.2 GB, and more after each.
+    """
+    import ctypes
+
+    if "drjit" in sys.modules:
+        import drjit as dr
+
+        dr.flush_malloc_cache()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The guard that keeps Dr.Jit away from an LLVM on which it aborts the process."""
 
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -193,3 +194,27 @@ def test_arrays_of_the_engine_have_memory_behind_them(count: int, kind: type) ->
     assert handed.ctypes.data % 64 == 0
     assert behind >= (-count % 16) * handed.itemsize
     np.testing.assert_array_equal(handed, np.arange(count).astype(kind))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc has malloc_trim")
+def test_freed_memory_goes_back_to_the_system() -> None:
+    """Of 100 MB in small pieces all but the last is freed, which alone keeps glibc from shrinking.
+
+    In a process of its own; fails where nothing is handed back.
+    """
+    code = """
+import os
+from twin.engine import return_freed_memory
+
+def resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+pieces = [bytes(1000) for _ in range(100_000)]
+del pieces[:-1]
+before = resident()
+return_freed_memory()
+print(before - resident())
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(run.stdout) > 70e6

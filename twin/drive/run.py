@@ -18,6 +18,7 @@ from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
+from twin.engine import return_freed_memory
 from twin.progress import interrupts
 
 #: Called with the reference time that is recorded, s.
@@ -136,6 +137,7 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
         log.record("/radar/record", record, host_ns=event.end_ns, clock=model)
         found = ObjectStates.at(plan.scene, 1e-9 * np.array([middle_ns]))
         states(log, found, [middle_ns], event.end_ns)
+        return_freed_memory()
 
     def write(event: Event) -> Callable[[Log], None]:
         if event.kind == "camera":

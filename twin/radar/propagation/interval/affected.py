@@ -2,7 +2,7 @@
 those on whose way something moves.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,14 +42,19 @@ def affected_alone(
     """The scene in which all other objects only cast shadows; of a body all objects answer, or
     none does.
     """
-    return with_silent(scene, unaffected(scene, half_s, roles, bodies))
+    return with_silent(scene, unaffected(scene, ways_m(scene, half_s), roles, bodies))
 
 
 def unaffected(
-    scene: Scene, half_s: float, roles: Sequence[Assignment], bodies: Sequence[BodyEcho]
+    scene: Scene,
+    ways: Mapping[str, float],
+    roles: Sequence[Assignment],
+    bodies: Sequence[BodyEcho],
 ) -> set[str]:
-    """Names of all other objects that answer."""
-    affected = _affected(scene, half_s)
+    """Names of objects that answer and that nothing changes; of a body all objects may change, or
+    none does. ``ways`` as of `ways_m`.
+    """
+    affected = _affected(scene, ways)
     for body in bodies:
         if affected.intersection(body.objects):
             affected |= set(body.objects)
@@ -67,9 +72,8 @@ def with_silent(scene: Scene, silent: Collection[str]) -> Scene:
     )
 
 
-def _affected(scene: Scene, half_s: float) -> set[str]:
+def _affected(scene: Scene, ways: Mapping[str, float]) -> set[str]:
     """Names of objects that move, or that something may hide where it moves."""
-    ways = ways_m(scene, half_s)
     moving = [item for item in scene.objects if item.name in ways]
     others = [item for item in scene.objects if item.name not in ways and len(item.geometry.faces)]
     if not moving:

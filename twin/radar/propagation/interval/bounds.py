@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.one_way.motion import RigidMotions, lengthening, radar_motion
+from twin.radar.propagation.one_way.motion import (
+    PointMotion,
+    RigidMotions,
+    lengthening,
+    radar_motion,
+)
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -48,46 +53,67 @@ def largest_change(scene: Scene, radar: RadarDesign, times_s: Array) -> Change |
     moves.
     """
     items = [item for item in scene.objects if item.moves or scene.rig.moves]
+    antenna = _Antenna.of(scene, times_s)
     changes = [
-        _change_of(scene, item, radar, times_s) for item in items if len(item.geometry.faces)
+        _change_of(antenna, item, radar, times_s) for item in items if len(item.geometry.faces)
     ]
     changes += [
-        _change_of_target(scene, target, radar, times_s)
+        _change_of_target(antenna, target, radar, times_s)
         for target in scene.targets
         if target.object is None and (any(target.velocity_m_per_s) or scene.rig.moves)
     ]
     return max(changes, key=lambda change: change.error, default=None)
 
 
-def _change_of(scene: Scene, item: SceneObject, radar: RadarDesign, times_s: Array) -> Change:
+@dataclass(frozen=True, eq=False)
+class _Antenna:
+    """The radar's antenna: where it is and how it moves now, and at all times its place
+    (n_times, 3) and the angle that the rig has turned by, at most.
+    """
+
+    place_m: Array
+    motion: PointMotion
+    places_m: Array
+    turned_rad: float
+
+    @staticmethod
+    def of(scene: Scene, times_s: Array) -> "_Antenna":
+        place: Array = np.asarray(scene.rig.position_m + scene.rig.device("radar")[0])
+        rig, now = scene.rig.course.at(times_s), scene.rig.pose
+        mounted = now.rotation.inv().apply(place - scene.rig.position_m)
+        places = rig.of_points(mounted[None])[0]
+        turned = (rig.pose.rotation * now.rotation.inv()).magnitude().max()
+        return _Antenna(place, radar_motion(scene), places, float(turned))
+
+
+def _change_of(antenna: _Antenna, item: SceneObject, radar: RadarDesign, times_s: Array) -> Change:
     """Of the way to the corners of the box of an object and back, and of the angles that it and the
     rig turn by.
     """
-    own, rig = item.course.at(times_s), scene.rig.course.at(times_s)
+    own = item.course.at(times_s)
     low, high = item.geometry.vertices_m.min(axis=0), item.geometry.vertices_m.max(axis=0)
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-    places = item.pose.apply(corners) - _antenna_m(scene)
-    motion = RigidMotions.of([item], _antenna_m(scene)).at(0, places)
-    way = _along_ways(scene, radar, times_s, own.of_points(corners)[0], places, motion)
-    turned = [
-        (state.pose.rotation * now.rotation.inv()).magnitude().max()
-        for state, now in ((own, item.pose), (rig, scene.rig.pose))
-    ]
-    return Change(item.name, *way, float(sum(turned)))
+    places = item.pose.apply(corners) - antenna.place_m
+    motion = RigidMotions.of([item], antenna.place_m).at(0, places)
+    way = _along_ways(antenna, radar, times_s, own.of_points(corners)[0], places, motion)
+    turned = (own.pose.rotation * item.pose.rotation.inv()).magnitude().max()
+    return Change(item.name, *way, float(turned + antenna.turned_rad))
 
 
-def _change_of_target(scene: Scene, target: Target, radar: RadarDesign, times_s: Array) -> Change:
+def _change_of_target(
+    antenna: _Antenna, target: Target, radar: RadarDesign, times_s: Array
+) -> Change:
     """Of the way to a target of its own velocity and back: it is a point."""
     velocity = np.asarray(target.velocity_m_per_s)
     place = np.asarray(target.position_m)
     exact = (place + times_s[:, None] * velocity)[:, None]
     motion = velocity, np.zeros(3)
-    places = (place - _antenna_m(scene))[None]
-    return Change(target.name, *_along_ways(scene, radar, times_s, exact, places, motion), 0.0)
+    places = (place - antenna.place_m)[None]
+    return Change(target.name, *_along_ways(antenna, radar, times_s, exact, places, motion), 0.0)
 
 
 def _along_ways(
-    scene: Scene,
+    antenna: _Antenna,
     radar: RadarDesign,
     times_s: Array,
     exact_m: Array,
@@ -99,10 +125,8 @@ def _along_ways(
     the points at all times (n_times, n, 3), from the radar now (n, 3), and their velocity and
     acceleration.
     """
-    here, rig = _antenna_m(scene), scene.rig.course.at(times_s)
-    mounted = scene.rig.pose.rotation.inv().apply(here - scene.rig.position_m)
-    exact = np.linalg.norm(exact_m - rig.of_points(mounted[None])[0], axis=2)
-    length, radar_moves = np.linalg.norm(places_m, axis=1), radar_motion(scene)
+    exact = np.linalg.norm(exact_m - antenna.places_m, axis=2)
+    length, radar_moves = np.linalg.norm(places_m, axis=1), antenna.motion
     rate, faster = lengthening(
         motion[0] - radar_moves.velocity_m_per_s,
         places_m / np.maximum(length, 1e-12)[:, None],
@@ -116,8 +140,3 @@ def _along_ways(
     averaged = np.abs(kept[1] - kept[0]) / kept.max(axis=(0, 1))
     spread = np.abs((length / np.maximum(exact, 1e-12)) ** 2 - 1)
     return 4 * np.pi * bend_m / radar.ofdm.wavelength_m, float((averaged + spread).max())
-
-
-def _antenna_m(scene: Scene) -> Array:
-    """The radar in the world."""
-    return np.asarray(scene.rig.position_m + scene.rig.device("radar")[0])

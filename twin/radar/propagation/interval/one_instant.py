@@ -5,7 +5,7 @@ that come into sight. Direct echoes are therefore traced at both ends of the int
 between wherever something has moved on by its own size.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,12 +69,13 @@ def checked(
     ``found``: echoes of the middle; ``worst``: the largest change by bounds; ``permitted``: of an
     echo. Nothing is traced where nothing moves by a quarter of a wavelength against the radar.
     """
-    ways = _ways(scene, radar.burst_s / 2)
+    farthest = ways_m(scene, radar.burst_s / 2)
+    ways = _ways(scene, farthest)
     if fidelity.radar not in _CHECKED or not np.any(ways[:, 0] > radar.ofdm.wavelength_m / 4):
         return Checked(worst, (), 2, np.zeros(len(found.bodies)))
     sizes = float(np.max(ways[:, 0] / np.maximum(ways[:, 1], 1e-9)))
     spans = _spans(sizes)
-    differences = _differences(scene, radar, fidelity, found, spans)
+    differences = _differences(scene, radar, fidelity, found, spans, farthest)
     worst, remarks, changes = _told(scene, radar, found.bodies, differences, worst, permitted)
     if 2 * sizes > spans:
         remarks += (
@@ -85,12 +86,12 @@ def checked(
     return Checked(worst, remarks, spans, changes)
 
 
-def _ways(scene: Scene, half_s: float) -> Array:
+def _ways(scene: Scene, farthest: Mapping[str, float]) -> Array:
     """Of each object that moves against the radar, the farthest that it does from the middle of an
     interval to its ends, and its size: of a plate its shorter edge, of a rod its thickness, m,
     (n_moving, 2).
     """
-    farthest, ways = ways_m(scene, half_s), []
+    ways = []
     for item in scene.objects:
         if item.name in farthest:
             extent = np.ptp(item.geometry.vertices_m, axis=0)
@@ -118,10 +119,15 @@ class _Differences:
 
 
 def _differences(
-    scene: Scene, radar: RadarDesign, fidelity: Fidelity, found: Propagation, spans: int
+    scene: Scene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    found: Propagation,
+    spans: int,
+    ways: Mapping[str, float],
 ) -> _Differences:
-    """What echoes at other times differ by from the middle's. Of direct echoes of bodies that
-    nothing moves, and that nothing that moves may hide, nothing changes.
+    """What echoes at other times differ by from the middle's; ``ways`` as of `ways_m`. Of direct
+    echoes of bodies that nothing moves, and that nothing that moves may hide, nothing changes.
 
     The direct echoes of all times are followed to the middle, where they and its own would be the
     same if nothing changed: the largest difference from the middle's, and of both ends, is told.
@@ -130,7 +136,7 @@ def _differences(
         radar="optics", radar_bounces=1, radar_images=0, radar_edges=0, radar_shadowed=0
     )
     half_s, bodies = radar.burst_s / 2, found.bodies
-    silent = unaffected(scene, half_s, found.roles, bodies)
+    silent = unaffected(scene, ways, found.roles, bodies)
     times = times_within(scene, half_s * np.linspace(-1, 1, spans + 1)).tolist()
     worlds, sums = {time: scene.after(time) for time in times}, {}
     for time, world in worlds.items():
