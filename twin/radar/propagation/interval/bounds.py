@@ -51,6 +51,12 @@ def largest_change(scene: Scene, radar: RadarDesign, times_s: Array) -> Change |
     changes = [
         _change_of(scene, item, radar, times_s) for item in items if len(item.geometry.faces)
     ]
+    carriers = {item.name: item for item in items}
+    changes += [
+        _change_of_carried(scene, target, carriers[target.object], radar, times_s)
+        for target in scene.targets
+        if target.object in carriers
+    ]
     changes += [
         _change_of_target(scene, target, radar, times_s)
         for target in scene.targets
@@ -74,6 +80,17 @@ def _change_of(scene: Scene, item: SceneObject, radar: RadarDesign, times_s: Arr
         for state, now in ((own, item.pose), (rig, scene.rig.pose))
     ]
     return Change(item.name, *way, float(sum(turned)))
+
+
+def _change_of_carried(
+    scene: Scene, target: Target, item: SceneObject, radar: RadarDesign, times_s: Array
+) -> Change:
+    """Of the way to a target that moves with an object, from whose mesh it may be far away."""
+    place = np.asarray(target.position_m)[None]
+    places = place - _antenna_m(scene)
+    motion = RigidMotions.of([item], _antenna_m(scene)).at(0, places)
+    exact = item.course.at(times_s).of_points(item.pose.inv().apply(place))[0]
+    return Change(target.name, *_along_ways(scene, radar, times_s, exact, places, motion), 0.0)
 
 
 def _change_of_target(scene: Scene, target: Target, radar: RadarDesign, times_s: Array) -> Change:
