@@ -1,7 +1,7 @@
 """Arguments that several commands take."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -58,25 +58,23 @@ MotionOption = Annotated[
 ]
 
 
-def with_motion(knobs: "Fidelity", tolerance: str | None) -> "Fidelity":
-    """The knobs with a tolerance of motion within a frame; with ``none`` without any, and with None
-    as they are.
+def named_knobs(motion_tolerance: str | None, radar_model: str | None) -> dict[str, Any]:
+    """The knobs that `--motion-tolerance`, a number or ``none``, and `--radar-model` name.
 
     Raises InputError for text that is no number.
     """
-    from dataclasses import replace
-
     from hardware.units import quantity
     from twin.errors import InputError
 
-    if tolerance is None:
-        return knobs
-    if tolerance == "none":
-        return replace(knobs, motion_tolerance=None)
-    try:
-        return replace(knobs, motion_tolerance=quantity(tolerance, None, bare=True))
-    except InputError as error:
-        raise InputError(f"--motion-tolerance: {tolerance!r}: {error}") from None
+    named: dict[str, Any] = {} if radar_model is None else {"radar": radar_model}
+    if motion_tolerance == "none":
+        named["motion_tolerance"] = None
+    elif motion_tolerance is not None:
+        try:
+            named["motion_tolerance"] = quantity(motion_tolerance, None, bare=True)
+        except InputError as error:
+            raise InputError(f"--motion-tolerance: {motion_tolerance!r}: {error}") from None
+    return named
 
 
 def knobs_asked(
@@ -88,9 +86,12 @@ def knobs_asked(
     fidelity: str | None,
     tolerance: str | None,
     within: float | None,
+    motion_tolerance: str | None = None,
+    radar_model: str | None = None,
 ) -> "Fidelity":
     """The knobs that the options ask for; what a time allows is measured on the scene that ``load``
-    gives, and printed. Raises InputError.
+    gives, with the tolerance of motion and the radar's model that are named, and printed. Raises
+    InputError.
     """
     from twin.fidelity import Tolerance, knobs_of
 
@@ -100,8 +101,10 @@ def knobs_asked(
         asked = None if tolerance is None else Tolerance.of(tolerance)
         if asked is not None:
             asked.check_sensors(camera=system is not None, radar=radar is not None)
-        return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
-    return knobs_within(say, load, system, radar, within)
+        knobs = knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
+        return knobs.with_(named_knobs(motion_tolerance, radar_model))
+    fixed = named_knobs(motion_tolerance, radar_model)
+    return knobs_within(say, load, system, radar, within, fixed)
 
 
 def only_one(fidelity: str | None, tolerance: str | None, within: float | None) -> None:
@@ -118,10 +121,13 @@ def knobs_within(
     system: "System | str | None",
     radar: "RadarDesign | None",
     within: float,
+    fixed: Mapping[str, Any],
 ) -> "Fidelity":
-    """The knobs that a frame's time allows on this machine, measured and printed."""
+    """The knobs that a frame's time allows on this machine beside ``fixed`` ones, measured and
+    printed.
+    """
     from twin.trade import fidelity_within
 
-    chosen = fidelity_within(load(), within, system=system, radar=radar)
+    chosen = fidelity_within(load(), within, system=system, radar=radar, fixed=fixed)
     say.line(f"within {quantity_text(within, 's')}: {chosen}")
     return chosen.fidelity

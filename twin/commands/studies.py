@@ -94,20 +94,22 @@ def _accuracy_asked(
 ) -> "Accuracy | None":
     """What the options ask for; a time is measured on the first point, unless the folder has it."""
     from twin.fidelity import DEFAULT_SHARE, Tolerance
-    from twin.sweep.accuracy import with_accuracy
+    from twin.sweep.accuracy import named_in, with_accuracy
     from twin.sweep.inputs import inputs_of
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
-    from twin.sweep.store import stored_tolerance
+    from twin.sweep.store import stored_accuracy
 
     only_one(fidelity, tolerance, within)
     if within is None:
         return fidelity if tolerance is None else Tolerance.of(tolerance)
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
-    if knobs := stored_tolerance(folder_of(study, out)):
+    if knobs := stored_accuracy(folder_of(study, out)):
         return knobs
     first = setup(study, study.point(0), inputs_of(study))
-    return knobs_within(say, lambda: first.scene, first.system, first.radar, within)
+    # A study assumes that nothing moves during a frame unless it names a tolerance of that.
+    fixed = {"motion_tolerance": None, **{n: getattr(first.fidelity, n) for n in named_in(study)}}
+    return knobs_within(say, lambda: first.scene, first.system, first.radar, within, fixed)
 
 
 def show(
