@@ -243,17 +243,20 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     is_bounded = bool(np.isfinite(bound[known]).all() and bound[known].any())
     if is_bounded:
         moves.append((bound, rest_of_bound))
-    noisier, *drawn = similarities(
-        [truth, *(truth + by for by, _ in moves)],
-        [truth + (1 + _STEP) * off, *(seen + by + left for by, left in moves)],
+    more_noise = math.hypot(1, capture.model_error.scatter)
+    noisier, much_noisier, *drawn = similarities(
+        [truth, truth, *(truth + by for by, _ in moves)],
+        [
+            truth + (1 + _STEP) * off,
+            truth + more_noise * off,
+            *(seen + by + left for by, left in moves),
+        ],
     )
     by_noise = (noisier - value) / _STEP / noise.value
     at_bound = drawn.pop() if is_bounded else np.inf if bound[known].any() else value
     statistical = np.hypot(_VERY_FEW * np.std(drawn, ddof=1), by_noise * noise.standard_error)
     systematic = abs(float(np.mean(drawn)) - value) + abs(by_noise) * noise.systematic
-    systematic += abs(at_bound - value)
-    more_noise = math.hypot(1, capture.model_error.scatter) - 1
-    systematic += abs(by_noise) * noise.value * more_noise
+    systematic += abs(at_bound - value) + abs(much_noisier - value)
     scatter = scatter_of_scores(capture, image).ssim
     return Interval(value, float(statistical), float(systematic), scatter)
 
