@@ -43,6 +43,7 @@ def test_a_frame_stays_within_the_time() -> None:
         > 0
     )
     assert "ms a frame" in str(chosen)
+    assert chosen.warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -118,6 +119,8 @@ def test_a_time_below_that_of_the_largest_tolerance() -> None:
     assert chosen.radar.frame_s <= 1.5
     assert chosen.fidelity.light_tolerance == Tolerance().knobs().light_tolerance
     assert chosen.fidelity.radar_bounces is not None
+    (warning,) = chosen.warnings
+    assert "errors of its figures are not bounded" in warning
 
 
 def test_what_no_knobs_bring_down_is_refused() -> None:

@@ -43,7 +43,8 @@ WithinOption = Annotated[
     float | None,
     typer.Option(
         help="In place of a tolerance: time that a frame of each sensor may take on this machine, "
-        "after the first; the smallest tolerance that this time allows is used.",
+        "after the first; the smallest tolerance that this time allows is used, or else coarser "
+        "knobs.",
         parser=quantity_of("s"),
     ),
 ]
@@ -130,4 +131,6 @@ def knobs_within(
 
     chosen = fidelity_within(load(), within, system=system, radar=radar, fixed=fixed)
     say.line(f"within {quantity_text(within, 's')}: {chosen}")
+    for warning in chosen.warnings:
+        say.warn(f"within {quantity_text(within, 's')}: {warning}")
     return chosen.fidelity

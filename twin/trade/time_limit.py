@@ -55,6 +55,20 @@ class TimedFidelity:
         told = {"camera": self.camera, "radar": self.radar}
         return "; ".join(f"{name}: {share}" for name, share in told.items() if share)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What coarser knobs than any tolerance's leave out without a bound of its own."""
+        told = []
+        if self.camera and self.fidelity.max_depth == 1 and not self.fidelity.has_light_tolerance:
+            told.append("camera: light of more than one bounce is left out")
+        if self.radar and self.radar.coarser:
+            left_out = {
+                "targets": "bodies, clutter, shadows and mirror images are",
+                "paths": "bodies' surfaces, edges and clutter are",
+            }.get(str(self.fidelity.radar), "further reflections, edges and clutter are")
+            told.append(f"radar: {left_out} left out, and errors of its figures are not bounded")
+        return tuple(told)
+
 
 def fidelity_within(
     scene: str | Path | Scene,
