@@ -225,6 +225,29 @@ def test_echoes_that_no_instant_changes_are_those_of_one() -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("carrier_x_m", [20.0, -60.0])
+def test_a_target_whose_object_is_drawn_elsewhere(carrier_x_m: float) -> None:
+    """A point that crosses at 300 m/s, 20 m away, carried by a mesh there or far behind the radar:
+    within 1 % rms of the sum over repeats of exact delays, with the level of range, antenna and
+    averaging. By the mesh behind alone one instant was enough, 22 % off rms and 70 % at the ends.
+    """
+    item = plate("b", (carrier_x_m, 0.0, 0.0), 0.1, radar="declared")
+    speed = 300.0
+    point = Target("t", (20.0, 0.0, 0.0), (0.0, speed, 0.0), 1.0, "declared", "b")
+    scene = world(item.following(Straight((0.0, speed, 0.0))), targets=(point,))
+    wave = RADAR.ofdm
+    found = traced_interval(scene, RADAR, OPTICS, 1)
+    received = channel(found, RADAR, Atmosphere())[0, :, 0]
+    rows = np.array([0, wave.n_subcarriers // 2, wave.n_subcarriers - 1])
+    repeats_s = (np.arange(wave.repeats) - (wave.repeats - 1) / 2) * wave.symbol_s
+    range_m = np.hypot(20.0, speed * (wave.slot_times_s[:, None] + repeats_s))
+    gain = (20.0 / range_m) ** (2.0 + 49.0)  # amplitude: 1 / R^2, and cos^49 of 20 dBi
+    frequencies = wave.carrier_hz + wave.frequency_offsets_hz[rows]
+    turns = 2 * range_m[..., None] * frequencies / speed_of_light % 1.0
+    exact = (gain[..., None] * np.exp(-2j * np.pi * turns)).mean(axis=1)
+    assert off(received[:, rows], abs(found.paths[0].amplitude) * exact) < 0.01
+
+
 def test_a_trajectory_that_ends_within_the_interval() -> None:
     """What is followed ends there: the last instant's echo goes on."""
     turn = np.array([[1.0, 0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]])

@@ -1,5 +1,6 @@
 """Sweeps to a tolerance: who shares a render, how fine it is, and what says the tolerance."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -270,3 +271,33 @@ def test_the_command_takes_a_tolerance_or_a_time(
     assert "2 points" in sweep(*stated)
     found = [open_sweep(tmp_path / name).attrs["study"] for name in ("timed", "stated")]
     assert found[0] == found[1]
+
+
+def test_coarser_knobs_that_a_time_allowed_are_gone_on_with(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no tolerance is fast enough, `draft` is chosen: the same command goes on with it, and
+    does not measure again. Frames are timed with what the study sets: it names no motion, so that
+    nothing moves.
+    """
+    from twin.trade.time_limit import TimedFidelity, TimedShare
+
+    path = str(
+        study(
+            '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', HEAD + '"fidelity.noise" = "none"\n'
+        )
+    )
+    fixed: list[object] = []
+
+    def fidelity_within(*args: object, **options: object) -> TimedFidelity:
+        fixed.append(options["fixed"])
+        still = PRESETS["draft"].with_(motion_tolerance=None)
+        return TimedFidelity(still, TimedShare(math.inf, 0.1, "`draft`"), None)
+
+    monkeypatch.setattr("twin.trade.fidelity_within", fidelity_within)
+    command = ["sweep", path, "--workers", "0", "--out", str(tmp_path / "o"), "--within", "0.1"]
+    for told in ("2 points, from", "2 points"):
+        found = CliRunner().invoke(app, command)
+        assert found.exception is None, found.exception
+        assert told in found.output
+    assert fixed == [{"motion_tolerance": None, "noise": "none"}]

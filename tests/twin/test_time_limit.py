@@ -43,6 +43,7 @@ def test_a_frame_stays_within_the_time() -> None:
         > 0
     )
     assert "ms a frame" in str(chosen)
+    assert chosen.warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -81,6 +82,33 @@ def test_coarser_knobs_where_the_largest_tolerance_takes_too_long(
         time_limit._best(sensor, frame, 1e-3)
 
 
+def test_knobs_that_are_fixed_are_timed_and_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a clock of its own: frames take 4 s, but 0.1 s where nothing moves in them. With motion
+    fixed no knobs promise a frame in 1 s, and none are told "with nothing that moves".
+    """
+    clock_s = 0.0
+    monkeypatch.setattr(time_limit.time, "perf_counter", lambda: clock_s)
+    timed: list[Fidelity] = []
+
+    def frame(*_: object, fidelity: Fidelity, **__: object) -> None:
+        nonlocal clock_s
+        timed.append(fidelity)
+        clock_s += 0.1 if fidelity.motion_tolerance is None else 4.0
+
+    monkeypatch.setattr(time_limit, "capture", frame)
+    assert str(fidelity_within("table1", 1.0, radar=None)).endswith(
+        "2 of the noise with nothing that moves within a frame, 125 ms a frame"
+    )
+    timed.clear()
+    with pytest.raises(InputError, match=r"5 s by the coarsest knobs, `draft`, and 5 s"):
+        fidelity_within("table1", 1.0, radar=None, fixed={"motion_tolerance": 0.1})
+    assert {knobs.motion_tolerance for knobs in timed} == {0.1}
+    still = fidelity_within("table1", 1.0, radar=None, fixed={"motion_tolerance": None})
+    assert still.fidelity.motion_tolerance is None
+    assert still.camera is not None
+    assert still.camera.noise_share < 2
+
+
 def test_a_time_below_that_of_the_largest_tolerance() -> None:
     """The yard, whose car moves within a frame: its echoes by declared targets alone, its light by
     coarser knobs than any tolerance's, which then hold for a capture.
@@ -91,6 +119,8 @@ def test_a_time_below_that_of_the_largest_tolerance() -> None:
     assert chosen.radar.frame_s <= 1.5
     assert chosen.fidelity.light_tolerance == Tolerance().knobs().light_tolerance
     assert chosen.fidelity.radar_bounces is not None
+    (warning,) = chosen.warnings
+    assert "errors of its figures are not bounded" in warning
 
 
 def test_what_no_knobs_bring_down_is_refused() -> None:

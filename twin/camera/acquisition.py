@@ -15,7 +15,7 @@ from twin.camera.cell_noise import cells_noise_e as noise_of_cells
 from twin.camera.chain import Chain
 from twin.camera.design_warnings import design_warnings, lag_shares
 from twin.camera.distortion import distortions
-from twin.camera.frozen import frozen_warnings
+from twin.camera.frozen import frozen_error
 from twin.camera.illumination import dark_share
 from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_side
@@ -248,6 +248,10 @@ def measure(
         *lag_warnings(distortion.lag, image_noise_e, lag_shares(system)),
     )
     decisions = (*rendered.decisions, *((frame.decision,) if frame else ()))
+    if frame:
+        scatter, of_motion = frame.sun_scatter, frame.warnings
+    else:
+        scatter, of_motion = frozen_error(scene, chain, rendered)
     warnings = (
         *record_warnings,
         *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
@@ -255,7 +259,7 @@ def measure(
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
         *(CaptureWarning("tolerance", text) for text in missed_effects(decisions)),
-        *(frame.warnings if frame else frozen_warnings(scene, chain, rendered)),
+        *of_motion,
     )
     return Capture(
         record=record,
@@ -276,9 +280,7 @@ def measure(
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
         decisions=decisions,
         range_error=range_error,
-        model_error=replace(
-            model_error(chain, power, signal_w), scatter=frame.sun_scatter if frame else 0.0
-        ),
+        model_error=replace(model_error(chain, power, signal_w), scatter=scatter),
         noise_draws=NoiseDraws(chain, power, record, noise=noise, mean_w=mean_w, sun_w=open_w),
         distance_m=rendered.half_paths_m(),
     )

@@ -224,31 +224,32 @@ def _count_change(
     )
 
 
-def frozen_warnings(
+def frozen_error(
     scene: Scene, chain: Chain, rendered: RenderedLight
-) -> tuple[CaptureWarning, ...]:
-    """Warning of motion during a frame that is taken as still, where it may change counts by more
-    than their noise. Only to the end of trajectories that end before the frame.
+) -> tuple[float, tuple[CaptureWarning, ...]]:
+    """What motion during a frame that is taken as still may change counts by, over their noise, and
+    a warning of it; 0 and none where it is not more than their noise. Only to the end of
+    trajectories that end before the frame.
     """
     if scene.at_rest and not scene.rig.moves:
-        return ()
+        return 0.0, ()
     duration = min(Exposures.of(chain.system).duration_s, scene.span_s[1])
     if duration <= 0:
-        return ()
+        return 0.0, ()
     view = _View.of(scene, chain.system)
     passing = _passing(scene, duration, view)
     if passing is None:
-        return ()
+        return 0.0, ()
     change = _count_change(passing, view.emitter, chain, rendered)
     over = change.within(duration)
     if not over > 1:
-        return ()
+        return 0.0, ()
     text = (
         f"the scene moves by up to {number(change.cells_passed(duration), 2)} cells in a frame, "
         f"which is taken as still: errors of counts up to some {number(over, 2)} times their "
         "noise; fidelity.motion_tolerance models the motion"
     )
-    return (CaptureWarning("tolerance", text),)
+    return over, (CaptureWarning("tolerance", text),)
 
 
 def _contrast(images: Array, passed: float) -> Array:

@@ -262,10 +262,15 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     peak = _peak(capture)
     changes = peak.error, -min(peak.excess, _MOST), peak.bound if is_bounded else 0.0
     peaks = [peak.value * (1 + change) for change in changes]
-    noisier, brighter, duller, brightest, *drawn = similarities(
-        [truth] * 4 + [truth + by for by, _ in moves],
-        [truth + (1 + _STEP) * off, *[seen] * 3, *(seen + by + left for by, left in moves)],
-        [peak.value, *peaks, *[peak.value] * len(moves)],
+    more_noise = math.hypot(1, capture.model_error.scatter)
+    noisier, much_noisier, brighter, duller, brightest, *drawn = similarities(
+        [truth] * 5 + [truth + by for by, _ in moves],
+        [
+            *(truth + more * off for more in (1 + _STEP, more_noise)),
+            *[seen] * 3,
+            *(seen + by + left for by, left in moves),
+        ],
+        [peak.value, peak.value, *peaks, *[peak.value] * len(moves)],
     )
     by_noise = (noisier - value) / _STEP / noise.value
     at_bound = drawn.pop() if is_bounded else np.inf if bound[known].any() else value
@@ -277,10 +282,8 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     # straight line, or a parabola where that leads farther.
     further, still_further = float(once.mean()) - value, float(twice.mean()) - value
     systematic = max(abs(further), abs(3 * further - still_further))
-    systematic += abs(by_noise) * noise.systematic
+    systematic += abs(by_noise) * noise.systematic + abs(much_noisier - value)
     systematic += abs(at_bound - value) + abs(duller - value) + abs(brightest - value)
-    more_noise = math.hypot(1, capture.model_error.scatter) - 1
-    systematic += abs(by_noise) * noise.value * more_noise
     scatter = scatter_of_scores(capture, image).ssim
     return Interval(value, float(statistical), float(systematic), scatter)
 

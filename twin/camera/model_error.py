@@ -28,7 +28,7 @@ class ModelError:
     for all cells of a detector, since it is that of all light together. ``signal``,
     ``signal_systematic``, ``background`` and ``background_systematic``: of the mean signal and of
     the sun's light, relative. ``scatter``: root mean square of what light is off by from exposure
-    to exposure, over their noise.
+    to exposure, over their noise; of motion that is taken as still a bound, where it is above 1.
     """
 
     noise: Array

@@ -1,7 +1,7 @@
 """Arguments that several commands take."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -43,7 +43,8 @@ WithinOption = Annotated[
     float | None,
     typer.Option(
         help="In place of a tolerance: time that a frame of each sensor may take on this machine, "
-        "after the first; the smallest tolerance that this time allows is used.",
+        "after the first; the smallest tolerance that this time allows is used, or else coarser "
+        "knobs.",
         parser=quantity_of("s"),
     ),
 ]
@@ -58,25 +59,23 @@ MotionOption = Annotated[
 ]
 
 
-def with_motion(knobs: "Fidelity", tolerance: str | None) -> "Fidelity":
-    """The knobs with a tolerance of motion within a frame; with ``none`` without any, and with None
-    as they are.
+def named_knobs(motion_tolerance: str | None, radar_model: str | None) -> dict[str, Any]:
+    """The knobs that `--motion-tolerance`, a number or ``none``, and `--radar-model` name.
 
     Raises InputError for text that is no number.
     """
-    from dataclasses import replace
-
     from hardware.units import quantity
     from twin.errors import InputError
 
-    if tolerance is None:
-        return knobs
-    if tolerance == "none":
-        return replace(knobs, motion_tolerance=None)
-    try:
-        return replace(knobs, motion_tolerance=quantity(tolerance, None, bare=True))
-    except InputError as error:
-        raise InputError(f"--motion-tolerance: {tolerance!r}: {error}") from None
+    named: dict[str, Any] = {} if radar_model is None else {"radar": radar_model}
+    if motion_tolerance == "none":
+        named["motion_tolerance"] = None
+    elif motion_tolerance is not None:
+        try:
+            named["motion_tolerance"] = quantity(motion_tolerance, None, bare=True)
+        except InputError as error:
+            raise InputError(f"--motion-tolerance: {motion_tolerance!r}: {error}") from None
+    return named
 
 
 def knobs_asked(
@@ -88,23 +87,28 @@ def knobs_asked(
     fidelity: str | None,
     tolerance: str | None,
     within: float | None,
+    motion_tolerance: str | None = None,
+    radar_model: str | None = None,
 ) -> "Fidelity":
     """The knobs that the options ask for; what a time allows, or a score takes, is measured on the
-    scene that ``load`` gives, and printed. Raises InputError.
+    scene that ``load`` gives, with the tolerance of motion and the radar's model that are named,
+    and printed. Raises InputError.
     """
     from twin.fidelity import Tolerance, knobs_of
 
     only_one(fidelity, tolerance, within)
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
+    fixed = named_knobs(motion_tolerance, radar_model)
     if within is None:
         asked = None if tolerance is None else Tolerance.of(tolerance)
         if asked is not None:
             asked.check_sensors(camera=system is not None, radar=radar is not None)
             if asked.of_scores:
                 assert system is not None
-                return knobs_for_scores(say, load, asked, system, bandwidth_hz)
-        return knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
-    return knobs_within(say, load, system, radar, within)
+                return knobs_for_scores(say, load, asked, system, fixed, bandwidth_hz)
+        knobs = knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
+        return knobs.with_(fixed)
+    return knobs_within(say, load, system, radar, within, fixed)
 
 
 def knobs_for_scores(
@@ -112,12 +116,17 @@ def knobs_for_scores(
     load: "Callable[[], Scene]",
     tolerance: "Tolerance",
     system: "System | str",
+    fixed: Mapping[str, Any],
     bandwidth_hz: float | None = None,
 ) -> "Fidelity":
-    """The knobs by which scores are as exact as asked, found on the scene and printed."""
+    """The knobs by which scores are as exact as asked, beside ``fixed`` ones, found on the scene
+    and printed.
+    """
     from twin.trade import fidelity_for_scores
 
-    chosen = fidelity_for_scores(load(), tolerance, system=system, bandwidth_hz=bandwidth_hz)
+    chosen = fidelity_for_scores(
+        load(), tolerance, system=system, bandwidth_hz=bandwidth_hz, fixed=fixed
+    )
     say.line(f"tolerance {tolerance}: {chosen}")
     return chosen.fidelity
 
@@ -136,10 +145,15 @@ def knobs_within(
     system: "System | str | None",
     radar: "RadarDesign | None",
     within: float,
+    fixed: Mapping[str, Any],
 ) -> "Fidelity":
-    """The knobs that a frame's time allows on this machine, measured and printed."""
+    """The knobs that a frame's time allows on this machine beside ``fixed`` ones, measured and
+    printed.
+    """
     from twin.trade import fidelity_within
 
-    chosen = fidelity_within(load(), within, system=system, radar=radar)
+    chosen = fidelity_within(load(), within, system=system, radar=radar, fixed=fixed)
     say.line(f"within {quantity_text(within, 's')}: {chosen}")
+    for warning in chosen.warnings:
+        say.warn(f"within {quantity_text(within, 's')}: {warning}")
     return chosen.fidelity

@@ -14,7 +14,6 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
-    with_motion,
 )
 
 
@@ -93,10 +92,16 @@ def drive(
             raise InputError(f"clock of the {device}: {error}") from None
     if not out.parent.is_dir():
         raise InputError(f"--out: {out.parent} is no folder")
-    asked = knobs_asked(
-        say, lambda: world, camera, design, fidelity=fidelity, tolerance=tolerance, within=within
+    knobs = knobs_asked(
+        say,
+        lambda: world,
+        camera,
+        design,
+        fidelity=fidelity,
+        tolerance=tolerance,
+        within=within,
+        motion_tolerance=motion_tolerance,
     )
-    knobs = with_motion(asked, motion_tolerance)
     plan = Drive(
         scene=world,
         system=camera,

@@ -21,7 +21,6 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
-    with_motion,
 )
 
 if TYPE_CHECKING:
@@ -104,8 +103,9 @@ def run(
         fidelity=fidelity,
         tolerance=tolerance,
         within=within,
+        motion_tolerance=motion_tolerance,
+        radar_model=radar_model or None,
     )
-    knobs = with_motion(knobs, motion_tolerance)
     result = run_job(
         scene,
         camera,
@@ -115,7 +115,7 @@ def run(
         track=parse_track(track) if track is not None else None,
         seed=seed,
         out=out,
-        fidelity=knobs.with_(radar=radar_model) if radar_model else knobs,
+        fidelity=knobs,
         paths=paths,
         sigmf=sigmf,
         figures=figures,

@@ -14,7 +14,6 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
-    with_motion,
 )
 
 
@@ -103,7 +102,7 @@ def serve(
             say.warn(f"{address.host}: whoever reaches it can use it")
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     sweeper = load_radar(radar) if radio_address is not None else None
-    asked = knobs_asked(
+    knobs = knobs_asked(
         say,
         lambda: loaded,
         system if spi_at is not None else None,
@@ -111,8 +110,8 @@ def serve(
         fidelity=fidelity,
         tolerance=tolerance,
         within=within,
+        motion_tolerance=motion_tolerance,
     )
-    knobs = with_motion(asked, motion_tolerance)
     both = spi_at is not None and radio_address is not None
     world = SharedWorld(how) if both else None
     devices = []

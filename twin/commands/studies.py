@@ -97,11 +97,11 @@ def _accuracy_asked(
     unless the folder has it.
     """
     from twin.fidelity import DEFAULT_SHARE, Tolerance
-    from twin.sweep.accuracy import with_accuracy
+    from twin.sweep.accuracy import named_in, with_accuracy
     from twin.sweep.inputs import inputs_of
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
-    from twin.sweep.store import stored_tolerance
+    from twin.sweep.store import stored_accuracy
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
@@ -109,13 +109,15 @@ def _accuracy_asked(
     if within is None and not of_scores:
         return asked or fidelity
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
-    if knobs := stored_tolerance(folder_of(study, out)):
+    if knobs := stored_accuracy(folder_of(study, out)):
         return knobs
     first = setup(study, study.point(0), inputs_of(study))
+    # A study assumes that nothing moves during a frame unless it names a tolerance of that.
+    fixed = {"motion_tolerance": None, **{n: getattr(first.fidelity, n) for n in named_in(study)}}
     if asked is not None and of_scores:
-        return knobs_for_scores(say, lambda: first.scene, asked, first.system)
+        return knobs_for_scores(say, lambda: first.scene, asked, first.system, fixed)
     assert within is not None
-    return knobs_within(say, lambda: first.scene, first.system, first.radar, within)
+    return knobs_within(say, lambda: first.scene, first.system, first.radar, within, fixed)
 
 
 def show(

@@ -30,7 +30,7 @@ class Rule:
     told: Callable[[Any], Any] = lambda value: value
 
 
-def whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
+def whole(least: int, *, optional: bool = False, most: int | None = None) -> dict[str, Rule]:
     """A whole number, the stricter the more; ``optional``: or None, which leaves it to bounds and
     is the strictest.
     """
@@ -40,6 +40,8 @@ def whole(least: int, *, optional: bool = False) -> dict[str, Rule]:
             return ""
         if isinstance(value, bool) or not isinstance(value, int):
             return "is no int"
+        if most is not None and value > most:
+            return f"is more than {most}"
         return f"is less than {least}" if value < least else ""
 
     def stricter(one: Any, other: Any) -> Any:

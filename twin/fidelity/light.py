@@ -72,7 +72,7 @@ class LightFidelity(Knobs):
     light_tolerance_relative: float | None = field(
         default=None, metadata=optional_tolerance(1e-5, 1.0)
     )
-    light_rays: int = field(default=RAYS, metadata=whole(1))
+    light_rays: int = field(default=RAYS, metadata=whole(1, most=10**14))
     motion_tolerance: float | None = field(default=0.1, metadata=optional_tolerance(1e-4, 10.0))
     noise: Noise = field(default="full", metadata=one_of(Noise))
     air_orders: int = field(default=12, metadata=whole(0))

@@ -34,6 +34,16 @@ def with_accuracy(study: Study, accuracy: Accuracy) -> Study:
     return study.with_set({**_said(accuracy, has_radar=needs_radar(study.metrics)), **own})
 
 
+def named_in(study: Study) -> list[str]:
+    """Knobs that a study sets, which stay whatever accuracy is asked for.
+
+    >>> named_in(Study(name="n", metrics=["psnr_db"], set={"fidelity.noise": "none"}))
+    ['noise']
+    """
+    named = study.set.keys() - {TOLERANCE, PRESET}
+    return sorted(name.removeprefix(KNOB) for name in named if name.startswith(KNOB))
+
+
 def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
     """As parameters of a study; without knobs of the radar where there is none."""
     if isinstance(accuracy, str):

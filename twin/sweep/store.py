@@ -23,10 +23,11 @@ from pydantic import ValidationError
 from hardware.files import place_beside, read_json
 from hardware.formatting import setting_text
 from twin.digest import versions
-from twin.fidelity import Fidelity, Tolerance
+from twin.fidelity import PRESETS, Fidelity, Tolerance
+from twin.fidelity.knobs import NONE
 from twin.files import InputError, new_folder
 from twin.sweep.accuracy import accuracy_of, other_accuracy
-from twin.sweep.accuracy_names import TOLERANCE
+from twin.sweep.accuracy_names import KNOB, PRESET, TOLERANCE
 from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
@@ -296,14 +297,22 @@ def _study_of(out: Path, plan: dict[str, Any]) -> Study:
         raise InputError(f"{out / 'study.json'}: study: {told}") from error
 
 
-def stored_tolerance(out: Path) -> Fidelity | None:
-    """Knobs of the tolerance that a folder's sweep sets; None where there is no such sweep."""
+def stored_accuracy(out: Path) -> Fidelity | None:
+    """Knobs that a folder's sweep sets, by a tolerance or a preset and by themselves; None where
+    there is no such sweep.
+    """
     said = accuracy_of(_read_plan(out)["study"]) if (out / "study.json").is_file() else {}
-    if TOLERANCE not in said:
+    if TOLERANCE in said:
+        knobs = Tolerance.of(str(said[TOLERANCE])).knobs()
+    elif said.get(PRESET) in PRESETS:
+        knobs = PRESETS[said[PRESET]]
+    else:
         return None
-    knobs = Tolerance.of(str(said[TOLERANCE])).knobs()
-    radar = said.get("fidelity.radar_tolerance", knobs.radar_tolerance)
-    return knobs.with_(radar_tolerance=radar)
+    own = said.keys() - {TOLERANCE, PRESET}
+    named = {name.removeprefix(KNOB): said[name] for name in own}
+    if named.get("motion_tolerance") == NONE:
+        named["motion_tolerance"] = None
+    return knobs.with_(named)
 
 
 def _array_file(folder: Path, metric: str) -> Path:

@@ -1,9 +1,10 @@
 """The largest error of light, over the noise, at which scores of an image are as exact as asked."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from hardware.formatting import number
 from twin.accuracy import Interval
@@ -57,13 +58,15 @@ def fidelity_for_scores(
     system: str | Path | System = "workable",
     seed: int = 0,
     bandwidth_hz: float | None = None,
+    fixed: Mapping[str, Any] | None = None,
 ) -> ScoredFidelity:
     """Knobs for a tolerance of PSNR or SSIM: the largest of some shares of the noise, from 2 down,
     at which the model's part of the intervals of the best bundled reconstruction is within it.
 
     Frames are captured with ``seed`` until one is exact enough, each with a share that the one
     before asks for; the last takes most of the time. ``tolerance.noise_share`` is that of the radar
-    alone. ``bandwidth_hz``: of a radar, as `Tolerance.knobs` takes it.
+    alone. ``bandwidth_hz``: of a radar, as `Tolerance.knobs` takes it. ``fixed``: knobs by name,
+    which have these values whatever else is chosen.
 
     Raises InputError where no score is asked for, for a void record, and where a thousandth of the
     noise is not enough, or no light is: what was left out has no bound.
@@ -75,7 +78,7 @@ def fidelity_for_scores(
     usual = replace(tolerance, psnr_db=None, ssim=None)
     share, tried = _MOST, list[float]()
     while True:
-        knobs = _with_light(usual.knobs(bandwidth_hz), share)
+        knobs = _with_light(usual.knobs(bandwidth_hz), share).with_(dict(fixed or {}))
         taken = capture(world, sensor, seed=seed, fidelity=knobs, mesh_scene=rendered)
         if taken.void:
             raise InputError(f"tolerance: {tolerance}: the record is void: {taken.verdict}")

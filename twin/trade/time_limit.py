@@ -2,9 +2,10 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from hardware.formatting import number, si
 from hardware.units import quantity
@@ -54,6 +55,20 @@ class TimedFidelity:
         told = {"camera": self.camera, "radar": self.radar}
         return "; ".join(f"{name}: {share}" for name, share in told.items() if share)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What coarser knobs than any tolerance's leave out without a bound of its own."""
+        told = []
+        if self.camera and self.fidelity.max_depth == 1 and not self.fidelity.has_light_tolerance:
+            told.append("camera: light of more than one bounce is left out")
+        if self.radar and self.radar.coarser:
+            left_out = {
+                "targets": "bodies, clutter, shadows and mirror images are",
+                "paths": "bodies' surfaces, edges and clutter are",
+            }.get(str(self.fidelity.radar), "further reflections, edges and clutter are")
+            told.append(f"radar: {left_out} left out, and errors of its figures are not bounded")
+        return tuple(told)
+
 
 def fidelity_within(
     scene: str | Path | Scene,
@@ -62,6 +77,7 @@ def fidelity_within(
     system: str | Path | System | None = "workable",
     radar: str | Path | RadarDesign | None = "hybrid-79",
     seed: int = 0,
+    fixed: Mapping[str, Any] | None = None,
 ) -> TimedFidelity:
     """The smallest tolerance at which a frame takes no longer than ``frame_s`` on this machine,
     a number or text with a unit, for the camera and the radar each; from 2 of the sensor's noise
@@ -70,6 +86,9 @@ def fidelity_within(
     Where even the largest takes longer, coarser knobs are tried: nothing moves within the camera's
     frame, then that with `draft`; of the radar `draft`, then `paths`, then `targets` alone. Their
     error is told by each result, and what they leave out is warned of there.
+
+    ``fixed``: knobs by name that have these values whatever else is chosen; frames are timed with
+    them.
 
     A frame is all from the scene to the counts, once kernels are compiled and the scene is loaded.
     It is measured, so what is chosen differs between machines and may differ between runs; results
@@ -84,30 +103,32 @@ def fidelity_within(
         raise InputError(f"seed: {seed!r:.60}: expected a whole number from 0")
     world = scene if isinstance(scene, Scene) else load_scene(scene)
     camera = echoes = None
+    always = dict(fixed or {})
     knobs = DEFAULT
     if system is not None:
         sensor, rendered = load_system(system), mitsuba_scene(world)
 
         def image(fidelity: Fidelity) -> object:
-            return capture(world, sensor, seed=seed, fidelity=fidelity, mesh_scene=rendered)
+            given = fidelity.with_(always)
+            return capture(world, sensor, seed=seed, fidelity=given, mesh_scene=rendered)
 
-        camera = _best("camera", image, limit_s)
+        camera = _best("camera", image, limit_s, always)
         if camera.coarser:
-            knobs = _with(knobs, _COARSER["camera"][camera.coarser], LightFidelity)
+            knobs = _with(knobs, _coarser("camera", always)[camera.coarser], LightFidelity)
         else:
             knobs = _of_light(knobs, camera.noise_share)
     if radar is not None:
         design = load_radar(radar)
 
         def burst(fidelity: Fidelity) -> object:
-            return radar_capture(world, design, seed=seed, fidelity=fidelity)
+            return radar_capture(world, design, seed=seed, fidelity=fidelity.with_(always))
 
-        echoes = _best("radar", burst, limit_s)
+        echoes = _best("radar", burst, limit_s, always)
         if echoes.coarser:
-            knobs = _with(knobs, _COARSER["radar"][echoes.coarser], RadarFidelity)
+            knobs = _with(knobs, _coarser("radar", always)[echoes.coarser], RadarFidelity)
         else:
             knobs = replace(knobs, radar_tolerance=echoes.noise_share / 2)
-    return TimedFidelity(knobs, camera, echoes)
+    return TimedFidelity(knobs.with_(always), camera, echoes)
 
 
 def _of_light(knobs: Fidelity, share: float) -> Fidelity:
@@ -121,7 +142,7 @@ def _of_light(knobs: Fidelity, share: float) -> Fidelity:
 def _seconds(frame_s: float | str) -> float:
     value = quantity(frame_s, "s", bare=True) if isinstance(frame_s, str) else frame_s
     if not is_number(value) or not 0 < value < math.inf:
-        raise InputError(f"within: {value!r:.60}: expected a time above 0 s")
+        raise InputError(f"within: {value!r:.60}: expected a finite time above 0 s")
     return float(value)
 
 
@@ -130,12 +151,17 @@ def _with(knobs: Fidelity, other: Fidelity, sensor: type) -> Fidelity:
     return replace(knobs, **{field.name: getattr(other, field.name) for field in fields(sensor)})
 
 
-def _best(sensor: str, frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
+def _best(
+    sensor: str,
+    frame: Callable[[Fidelity], object],
+    limit_s: float,
+    fixed: Mapping[str, Any] | None = None,
+) -> TimedShare:
     """The finest tolerance within the limit, or the first of the coarser knobs that is."""
     largest = finest(frame, limit_s)
     if largest.frame_s <= limit_s:
         return largest
-    for name, fidelity in _COARSER[sensor].items():
+    for name, fidelity in _coarser(sensor, fixed or {}).items():
         frame(fidelity)  # compiles
         took_s = _time_s(frame, fidelity)
         if took_s <= limit_s:
@@ -177,18 +203,24 @@ def finest(frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
     return best
 
 
-_STILL = "with nothing that moves within a frame"
-#: By sensor, from the best on: what takes less time than the largest tolerance.
-_COARSER = {
-    "camera": {
-        f"{_SHARES[0]:g} of the noise {_STILL}": replace(
-            _of_light(DEFAULT, _SHARES[0]), motion_tolerance=None
-        ),
-        f"`draft` {_STILL}": replace(PRESETS["draft"], motion_tolerance=None),
-    },
-    "radar": {
-        "`draft`": PRESETS["draft"],
-        "`draft` with `paths`": replace(PRESETS["draft"], radar="paths"),
-        "declared targets alone": replace(PRESETS["draft"], radar="targets"),
-    },
-}
+_STILL = " with nothing that moves within a frame"
+
+
+def _coarser(sensor: str, fixed: Mapping[str, Any]) -> dict[str, Fidelity]:
+    """By name, from the best on: what takes less time than the largest tolerance, without what
+    would need another value of a knob that is fixed.
+    """
+    draft = PRESETS["draft"]
+    if sensor == "radar":
+        found = {"`draft`": draft}
+        if "radar" not in fixed:
+            found["`draft` with `paths`"] = replace(draft, radar="paths")
+            found["declared targets alone"] = replace(draft, radar="targets")
+        return found
+    if "motion_tolerance" in fixed:
+        return {"`draft`": draft}
+    largest = _of_light(DEFAULT, _SHARES[0])
+    return {
+        f"{_SHARES[0]:g} of the noise{_STILL}": replace(largest, motion_tolerance=None),
+        f"`draft`{_STILL}": replace(draft, motion_tolerance=None),
+    }

@@ -57,6 +57,12 @@ def largest_change(scene: Scene, radar: RadarDesign, times_s: Array) -> Change |
     changes = [
         _change_of(antenna, item, radar, times_s) for item in items if len(item.geometry.faces)
     ]
+    carriers = {item.name: item for item in items}
+    changes += [
+        _change_of_carried(antenna, target, carriers[target.object], radar, times_s)
+        for target in scene.targets
+        if target.object in carriers
+    ]
     changes += [
         _change_of_target(antenna, target, radar, times_s)
         for target in scene.targets
@@ -98,6 +104,17 @@ def _change_of(antenna: _Antenna, item: SceneObject, radar: RadarDesign, times_s
     way = _along_ways(antenna, radar, times_s, own.of_points(corners)[0], places, motion)
     turned = (own.pose.rotation * item.pose.rotation.inv()).magnitude().max()
     return Change(item.name, *way, float(turned + antenna.turned_rad))
+
+
+def _change_of_carried(
+    antenna: _Antenna, target: Target, item: SceneObject, radar: RadarDesign, times_s: Array
+) -> Change:
+    """Of the way to a target that moves with an object, from whose mesh it may be far away."""
+    place = np.asarray(target.position_m)[None]
+    places = place - antenna.place_m
+    motion = RigidMotions.of([item], antenna.place_m).at(0, places)
+    exact = item.course.at(times_s).of_points(item.pose.inv().apply(place))[0]
+    return Change(target.name, *_along_ways(antenna, radar, times_s, exact, places, motion), 0.0)
 
 
 def _change_of_target(
