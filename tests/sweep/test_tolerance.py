@@ -1,6 +1,7 @@
 """Sweeps to a tolerance: who shares a render, how fine it is, and what says the tolerance."""
 
 import math
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from twin.camera.intervals import capture_intervals
 from twin.camera.light import render
 from twin.camera.permitted_error import PermittedError
 from twin.cli import app
-from twin.fidelity import PRESETS, Fidelity, Tolerance, knobs_of
+from twin.fidelity import PRESETS, Fidelity, LightFidelity, Tolerance, knobs_of
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.sweep import Study, load_study, open_sweep, run_sweep, shared_light
+from twin.sweep.accuracy import with_accuracy
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.inputs import Held, inputs_of
 from twin.sweep.setup import setup
@@ -301,3 +303,19 @@ def test_coarser_knobs_that_a_time_allowed_are_gone_on_with(
         assert found.exception is None, found.exception
         assert told in found.output
     assert fixed == [{"motion_tolerance": None, "noise": "none"}]
+
+
+def test_a_time_may_take_other_knobs_of_the_camera_than_of_the_radar() -> None:
+    """The camera by `draft`, the radar by its tolerance and bounds, as `--within` may choose."""
+    of_camera = {
+        field.name: getattr(PRESETS["draft"], field.name) for field in fields(LightFidelity)
+    }
+    knobs = replace(Tolerance(0.5).knobs(), **{**of_camera, "motion_tolerance": None})
+    study = Study(
+        name="both",
+        metrics=["snr_median", "range_error_m"],
+        scene="table1",
+        grid={"system.optics.f_number": [1.0, 2.0]},
+    )
+    asked = with_accuracy(study, knobs)
+    assert setup(asked, asked.point(0), inputs_of(asked)).fidelity == knobs

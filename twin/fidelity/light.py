@@ -42,9 +42,10 @@ class LightFidelity(Knobs):
         Rays to surfaces that all paths of a render to a tolerance take at most, three quarters of
         them for the emitter's light and one for the sun's: some minute of one core. After these
         light is as exact as they made it: the error that was reached is stated, and warned of. A
-        number of rays, not a time, so that the same light follows on every machine. More of them
-        also let each cell have more paths, and each path more bounces, in proportion. Each part of
-        the light that changes during a frame, direct and indirect, has as many again.
+        number of rays, not a time, so that the same light follows on every machine. A first look is
+        taken even with 1. More of them also let each cell have more paths, and each path more
+        bounces, in proportion. Each part of the light that changes during a frame, direct and
+        indirect, has as many again.
     light_tolerance_relative
         The same as a share of the light itself: of each cell's, or of the cells' mean where that is
         more. With both, each cell's error is within the stricter one.

@@ -5,14 +5,16 @@ from dataclasses import fields
 from typing import Any
 
 from twin.errors import InputError
-from twin.fidelity import Accuracy, Fidelity, LightFidelity, Tolerance
+from twin.fidelity import DEFAULT_SHARE, Accuracy, Fidelity, LightFidelity, Tolerance
 from twin.fidelity.knobs import NONE
 from twin.sweep.accuracy_names import KNOB, PRESET, TOLERANCE
 from twin.sweep.names import needs_radar
 from twin.sweep.study import Study
 
 _UNSET = "(not set)"
-_MOTION = f"{KNOB}motion_tolerance"
+#: Knobs that a tolerance leaves to bounds, and those that a study may switch off.
+_BY_BOUNDS = ("radar_bounces", "radar_images", "radar_edges", "radar_shadowed")
+_OPTIONAL = (f"{KNOB}motion_tolerance", f"{KNOB}light_tolerance")
 
 
 def with_accuracy(study: Study, accuracy: Accuracy) -> Study:
@@ -55,13 +57,15 @@ def _said(accuracy: Accuracy, *, has_radar: bool) -> dict[str, Any]:
         return {TOLERANCE: accuracy.noise_share if plain else str(accuracy)}
     named: dict[str, Any]
     base, named = Fidelity(), {PRESET: "standard"}
-    if (share := accuracy.light_tolerance) is not None:
-        base, named = Tolerance(share).knobs(), {TOLERANCE: share}
     knobs = [f.name for f in fields(accuracy if has_radar else LightFidelity)]
-    usual, said = base.said(), accuracy.said()
+    share, said = accuracy.light_tolerance, accuracy.said()
+    by_bounds = any(said[n] is None for n in knobs if n in _BY_BOUNDS)
+    if share is not None or by_bounds:
+        share = DEFAULT_SHARE if share is None else share
+        base, named = Tolerance(share).knobs(), {TOLERANCE: share}
+    usual = base.said()
     changed = {f"{KNOB}{n}": said[n] for n in knobs if said[n] != usual[n]}
-    if changed.get(_MOTION, NONE) is None:
-        changed[_MOTION] = NONE
+    changed |= {n: NONE for n in _OPTIONAL if changed.get(n, NONE) is None}
     if none := [n for n, value in changed.items() if value is None]:
         raise InputError(f"{none[0]}: by bounds, which a study says by {TOLERANCE} alone")
     return {**named, **changed}

@@ -7,7 +7,8 @@ from twin.errors import InputError
 #: What the name of a knob begins with.
 KNOB = "fidelity."
 TOLERANCE, PRESET = f"{KNOB}tolerance", f"{KNOB}preset"
-#: Numbers of paths, which a tolerance chooses itself.
+#: Numbers of paths, which a tolerance chooses itself unless that of light is named too.
+_OF_LIGHT = f"{KNOB}light_tolerance"
 _CHOSEN = (f"{KNOB}samples", f"{KNOB}indirect_samples")
 
 
@@ -16,7 +17,7 @@ def check_accuracy(parameters: Iterable[str]) -> None:
     given = set(parameters)
     if {TOLERANCE, PRESET} <= given:
         raise InputError(f"{TOLERANCE}, {PRESET}: expected one of them")
-    for name in _CHOSEN:
+    for name in () if _OF_LIGHT in given else _CHOSEN:
         if {TOLERANCE, name} <= given:
             raise InputError(f"{name}: has no effect beside {TOLERANCE}, by which paths are added")
 
