@@ -1,5 +1,7 @@
 """Light as exact as a score of the image is asked for."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -93,6 +95,10 @@ def test_where_no_scene_is_looked_at_a_score_is_refused() -> None:
         check_value("fidelity.tolerance", "SSIM 0.01")
     with pytest.raises(InputError, match="expected one of PSNR or SSIM"):
         fidelity_for_scores("table1", Tolerance(0.1))
+    with pytest.raises(InputError, match=r"tolerance = 0\.1: expected a Tolerance"):
+        fidelity_for_scores("table1", 0.1)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="light_tolerance: is given, and would follow from"):
+        fidelity_for_scores("table1", asked, fixed={"light_tolerance": 0.3})
     found = CliRunner().invoke(
         app, ["run", "table1", "--system", "none", "--tolerance", "SSIM 0.01"]
     )
@@ -103,6 +109,34 @@ def test_a_void_record_has_no_score() -> None:
     blind = small(**{"readout.transimpedance_ohm": 1e12})
     with pytest.raises(InputError, match="the record is void: void: "):
         fidelity_for_scores("table1", Tolerance(psnr_db=0.1), system=blind)
+
+
+def test_an_image_without_a_score_is_no_image_as_exact_as_asked() -> None:
+    """2 x 2 cells have no SSIM: whatever PSNR is, nothing is promised of it."""
+    cells = {"emitter.rows": 2, "emitter.columns": 2, "acquisition.n_patterns": 4}
+    for text in ("SSIM 0.01", "PSNR 20 dB, SSIM 1"):
+        with pytest.raises(InputError, match="cannot be promised: at 2 of the noise"):
+            fidelity_for_scores("table1", Tolerance.of(text), system=small(**cells))
+
+
+def test_a_sweep_to_another_score_is_another_sweep(tmp_path: Path) -> None:
+    """The same score resumes, since what it takes is the same; another one is refused."""
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'scene = "table1"\nmetrics = ["psnr_db"]\n[set]\n"system.emitter.rows" = 16\n'
+        '"system.emitter.columns" = 16\n"system.acquisition.n_patterns" = 256\n'
+        '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n'
+    )
+
+    def sweep(score: str) -> str:
+        options = ["--workers", "0", "--out", str(tmp_path / "out"), "--tolerance", score]
+        found = CliRunner().invoke(app, ["sweep", str(study), *options])
+        return str(found.exception) if found.exception else found.output
+
+    assert "2 points, from 1 render" in sweep("PSNR 0.1 dB")
+    assert "2 points, from 1 render" in sweep("PSNR 0.1 dB")
+    assert "holds results of fidelity.tolerance = " in sweep("PSNR 0.02 dB")
+    assert "a radar's distances, without a radar" in sweep("PSNR 0.1 dB, 2 mm")
 
 
 def test_what_no_light_gives_is_not_promised(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,8 +93,8 @@ def _accuracy_asked(
     tolerance: str | None,
     within: float | None,
 ) -> "Accuracy | None":
-    """What the options ask for; what a time allows or a score takes is measured on the first point,
-    unless the folder has it.
+    """What the options ask for. What a time allows is measured on the first point, unless the
+    folder has it; what a score takes is looked for there each time, and is the same each time.
     """
     from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import named_in, with_accuracy
@@ -105,19 +105,22 @@ def _accuracy_asked(
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
-    of_scores = asked is not None and asked.of_scores
-    if within is None and not of_scores:
+    of_score = asked if asked and asked.of_scores else None
+    if within is None and of_score is None:
         return asked or fidelity
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
-    if knobs := stored_accuracy(folder_of(study, out)):
+    if within is not None and (knobs := stored_accuracy(folder_of(study, out))):
         return knobs
     first = setup(study, study.point(0), inputs_of(study))
+    scene, system, radar = first.scene, first.system, first.radar
     # A study assumes that nothing moves during a frame unless it names a tolerance of that.
     fixed = {"motion_tolerance": None, **{n: getattr(first.fidelity, n) for n in named_in(study)}}
-    if asked is not None and of_scores:
-        return knobs_for_scores(say, lambda: first.scene, asked, first.system, fixed)
+    if of_score is not None:
+        of_score.check_sensors(camera=True, radar=radar is not None)
+        bandwidth_hz = radar.total_bandwidth_hz if radar else None
+        return knobs_for_scores(say, lambda: scene, of_score, system, fixed, bandwidth_hz)
     assert within is not None
-    return knobs_within(say, lambda: first.scene, first.system, first.radar, within, fixed)
+    return knobs_within(say, lambda: scene, system, radar, within, fixed)
 
 
 def show(

@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hardware.formatting import number
 from twin.accuracy import Interval
 from twin.camera import capture
 from twin.camera.evaluation import evaluate
 from twin.camera.intervals import ScoreIntervals
-from twin.errors import InputError
+from twin.errors import InputError, check_kind, check_seed
 from twin.fidelity import Fidelity, Tolerance
 from twin.scene import Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
@@ -68,11 +70,16 @@ def fidelity_for_scores(
     alone. ``bandwidth_hz``: of a radar, as `Tolerance.knobs` takes it. ``fixed``: knobs by name,
     which have these values whatever else is chosen.
 
-    Raises InputError where no score is asked for, for a void record, and where a thousandth of the
-    noise is not enough, or no light is: what was left out has no bound.
+    Raises InputError where no score is asked for, for knobs that fix the light, for a void record
+    and an image without that score, and where a thousandth of the noise is not enough, or no light
+    is: what was left out has no bound.
     """
+    check_kind("tolerance", tolerance, Tolerance, "twin.Tolerance")
+    check_seed(seed)
     if not tolerance.of_scores:
         raise InputError(f"tolerance: {tolerance}: expected one of PSNR or SSIM")
+    if given := {"light_tolerance", "light_tolerance_relative"} & set(fixed or {}):
+        raise InputError(f"{min(given)}: is given, and would follow from {tolerance}")
     world = scene if isinstance(scene, Scene) else load_scene(scene)
     sensor, rendered = load_system(system), mitsuba_scene(world)
     usual = replace(tolerance, psnr_db=None, ssim=None)
@@ -85,10 +92,10 @@ def fidelity_for_scores(
         found = evaluate(sensor, taken)
         tried.append(share)
         scores, method = found.score_intervals[0], found.reconstructions[0].method
-        over = max(_over(tolerance, scores))
+        over = float(np.max(list(_over(tolerance, scores))))
         if over <= 1:
             return ScoredFidelity(knobs, share, scores, method, tuple(tried))
-        if math.isinf(over) or share <= _LEAST:
+        if not math.isfinite(over) or share <= _LEAST:
             raise InputError(
                 f"tolerance: {tolerance}: cannot be promised: at {share:.2g} of the noise "
                 f"{method} has {scores}"
@@ -106,11 +113,12 @@ def _with_light(knobs: Fidelity, share: float) -> Fidelity:
 
 
 def _over(tolerance: Tolerance, scores: ScoreIntervals) -> Iterator[float]:
-    """The model's part of each score's interval over what is asked."""
+    """The model's part of each score's interval over what is asked; NaN of no score."""
     asked: tuple[tuple[float | None, Interval], ...] = (
         (tolerance.psnr_db, scores.psnr_db),
         (tolerance.ssim, scores.ssim),
     )
     for limit, interval in asked:
         if limit is not None:
-            yield interval.of_model.half_width / limit
+            width = interval.of_model.half_width
+            yield width / limit if not math.isnan(interval.value) else math.nan
