@@ -20,6 +20,7 @@ from twin.accuracy import Interval
 from twin.camera.acquisition import Capture, measure
 from twin.camera.intervals import ScoreIntervals, capture_intervals, score_intervals, snr_errors
 from twin.camera.light import render
+from twin.detector.noise import settled_share
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
@@ -150,6 +151,48 @@ def test_scores_are_as_uncertain_as_the_brightest_cell(place: int) -> None:
             interval, width = getattr(found, name), getattr(exact, name).of_model.half_width
             assert interval.of_model.holds(getattr(other, name).value)
             assert width < 0.2 * interval.of_model.half_width
+
+
+def test_cells_that_may_be_lit_are_in_the_medians_interval() -> None:
+    """Of a capture in which light was left out of some cells with a surface: with that light they
+    would be lit, and the median another one.
+    """
+    taken = captured(still_yard(), small("workable"), Fidelity(samples=64), 0)
+    dark = np.zeros(taken.cells_e.shape, dtype=bool)
+    dark[:6] = taken.lit[:6]
+    faint_e = np.where(dark, 1e-4 * taken.cells_e.max(), 0.0)
+    without = replace(
+        taken,
+        cells_e=np.where(dark, 0.0, taken.cells_e),
+        snr=np.where(dark, 0.0, taken.snr),
+        cells_error_e=np.where(dark, 0.0, taken.cells_error_e),
+        light_systematic_e=faint_e,
+    )
+    exact = replace(without, cells_e=without.cells_e + faint_e, light_systematic_e=0 * faint_e)
+    found, true = (capture_intervals(each).snr_median for each in (without, exact))
+    assert np.count_nonzero(exact.lit) > np.count_nonzero(without.lit)
+    assert abs(true.value - found.value) > 0.05 * found.value
+    assert found.of_model.holds(true.value)
+    # Where none may be, as outside a gate, they make the interval no wider.
+    gated = replace(without, light_systematic_e=0 * faint_e)
+    assert capture_intervals(gated).snr_median.half_width < 0.5 * found.half_width
+
+
+def test_a_coarse_converters_noise_is_uncertain() -> None:
+    """Where the converter's step is five times all other noise and more, some of rounding follows
+    from the light; with fine steps none does.
+    """
+    fine, *others = (
+        captured(still_yard(), small("workable", **{"readout.adc_bits": bits}), Fidelity(), 0)
+        for bits in (24, 12, 11, 10, 9, 8, 7)
+    )
+    other = fine.noise.total_noise_e
+    coarse = next(found for found in others if found.noise.noise_e["quantisation"] > 1.5 * other)
+    share = coarse.noise.noise_e["quantisation"] / coarse.noise.total_noise_e
+    expected = settled_share(other / coarse.noise.noise_e["quantisation"]) * share**2 / 2
+    assert expected > 0.03
+    assert np.max(coarse.model_error.noise_systematic) == pytest.approx(expected, rel=0.05)
+    assert np.max(fine.model_error.noise_systematic) < 0.05 * expected
 
 
 def test_an_interval_that_is_too_narrow_is_found() -> None:
