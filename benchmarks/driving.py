@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,6 +79,8 @@ def by_default(duration_s: float) -> Iterator[tuple[str, float, str]]:
         yield f"{label}, CPU time for a second", (used.ru_utime + used.ru_stime) / duration_s, "s"
         for name, value in drive.memory():
             yield f"its largest memory, {name}", value, "MB"
+        for name, value in drive.memory(min):
+            yield f"its least memory, {name}", value, "MB"
         yield "its log", path.stat().st_size / 1e6, "MB"
 
 
@@ -119,12 +121,12 @@ class _Run:
             self._process.wait()
         return self
 
-    def memory(self) -> Iterator[tuple[str, float]]:
-        """Name of each fifth of its time, and what it held at most."""
+    def memory(self, of: Callable[[Sequence[float]], float] = max) -> Iterator[tuple[str, float]]:
+        """Name of each fifth of its time, and what it held at most, or by another measure."""
         n = len(self.memory_mb)
         for fifth in range(5):
             some = self.memory_mb[fifth * n // 5 : max((fifth + 1) * n // 5, fifth * n // 5 + 1)]
-            yield f"fifth {fifth + 1} of its time", max(some)
+            yield f"fifth {fifth + 1} of its time", of(some)
 
     def _goes_on(self) -> bool:
         """Whether it does, after a look at its memory and a wait."""
