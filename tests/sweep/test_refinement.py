@@ -191,9 +191,11 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
 def test_rendered_points_far_from_the_front_are_left_coarse(
     study, a_worker: str, tmp_path: Path
 ) -> None:
-    """One process, another one and the full sweep: the same front, the same bits."""
+    """One process, another one and the full sweep: the same front, the same bits. Of a scene at
+    rest: motion that is taken as still leaves scores next to no bound.
+    """
     head = """
-scene = "yard"
+scene = "table1"
 metrics = ["snr_median", "psnr_db"]
 {front}
 [set]
@@ -202,7 +204,7 @@ metrics = ["snr_median", "psnr_db"]
 "system.acquisition.n_patterns" = 256
 """
     grid = (
-        '[grid]\n"scene.rig.x_m" = [0.0, 0.5]\n"system.readout.read_noise_e" = [1e4, 2e4]\n'
+        '[grid]\n"scene.rig.x_m" = [0.0, 0.05]\n"system.readout.read_noise_e" = [1e4, 2e4]\n'
         '"system.acquisition.integration_time_s" = ["20 us", "50 us", "200 us", "300 us"]\n'
     )
     front = 'front = ["snr_median", "psnr_db"]'
