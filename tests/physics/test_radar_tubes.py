@@ -126,7 +126,8 @@ def test_a_ball_in_a_mirror(level: int) -> None:
 @pytest.mark.parametrize("tolerance", [0.05, 0.03])
 def test_errors_along_a_border_are_to_the_same_side(tolerance: float) -> None:
     """A trihedral that looks aside, 33 m away, whose echo is a few borders' and was off by up to
-    2.5 times the stated error: each border cuts a row of tubes alike.
+    2.5 times the stated error: each border cuts a row of tubes alike. By where rays fall it is 0.3
+    to 1.2 times what is stated.
     """
     case = next(radar_cases.cases(17041, 6, ["5 trihedral"]))
     fidelity = Tolerance(2 * tolerance).knobs().with_(radar_shadowed=0)
@@ -136,4 +137,5 @@ def test_errors_along_a_border_are_to_the_same_side(tolerance: float) -> None:
     true = mirrored_currents.echoes(objects, case.radar, band, case.bounces, spacing_m)[0]
     found = echoes_by_body(propagation, (body.objects,), case.radar, band)[0]
     error = np.sqrt(np.mean(np.abs(found - true) ** 2)) / body.level_amplitude
-    assert 0.005 < error < body.estimated_error < 1.5 * tolerance
+    assert 0.005 < error < 1.25 * body.estimated_error
+    assert body.estimated_error < 1.5 * tolerance

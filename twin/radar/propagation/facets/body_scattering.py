@@ -27,7 +27,7 @@ from twin.radar.propagation.facets.reflections import (
     Tally,
 )
 from twin.radar.propagation.facets.scatterers import Scatterers
-from twin.radar.propagation.facets.uniform_subdivision import spacing_of
+from twin.radar.propagation.facets.uniform_subdivision import finer_spacing_of
 from twin.radar.propagation.facets.validity import Valid
 from twin.radar.propagation.facets.wideband import contributions_of
 from twin.radar.propagation.one_way.path import TracingContext
@@ -147,7 +147,7 @@ def scattered_by(
         begin = illuminated_facets(
             context, scatterers, images, None if valid is None else valid.tubes
         )
-        spacing_m = spacing_of(context, begin.sizes()) if valid is None else valid.spacing_m[1]
+        spacing_m = valid.spacing_m[1] if valid else finer_spacing_of(context, begin.sizes())
         tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
     search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
     if valid is not None and (fell := _fell(valid, coarse.level, tolerance)).any():

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 _CLOSEST = 0.5  # wavelengths between rays
 _MORE = 80_000  # parts of facets, which keep rays wider apart
+_FINER, _FEW = 0.125, 40_000  # closer, in wavelengths, and parts up to which they are
 _STEPS = 64  # of sizes, in an octave
 
 
@@ -45,11 +46,25 @@ def longest_edges(a: Array, b: Array, c: Array) -> Array:
     )
 
 
+def finer_spacing_of(context: TracingContext, size_m: Array) -> float:
+    """The same for ray tubes, which pass by what lies between their rays: an eighth of a wavelength
+    where few parts are enough, as of a small hollow body, but no more than `spacing_of`.
+    """
+    finer_m = _finest(size_m, _FINER * float(context.wavelength[0]), _FEW)
+    return min(finer_m, spacing_of(context, size_m))
+
+
 def spacing_of(context: TracingContext, size_m: Array) -> float:
     """The most of the sizes of parts in m, of triangles of sizes (n,): half a wavelength, or what
-    some eighty thousand more of them allow. What is larger by any share becomes four.
+    some eighty thousand more of them allow.
     """
-    closest_m = _CLOSEST * float(context.wavelength[0])
+    return _finest(size_m, _CLOSEST * float(context.wavelength[0]), _MORE)
+
+
+def _finest(size_m: Array, closest_m: float, most: int) -> float:
+    """The least size of parts, from the closest on, with which at most so many are added. What is
+    larger by any share becomes four.
+    """
     wide = size_m[size_m > closest_m]
     if not len(wide):
         return closest_m
@@ -58,6 +73,6 @@ def spacing_of(context: TracingContext, size_m: Array) -> float:
     step = np.arange(len(count))
     for spacing in step:
         halvings = np.ceil(np.maximum(step - spacing, 0) / _STEPS)
-        if np.sum(count * (4.0**halvings - 1)) <= _MORE:
+        if np.sum(count * (4.0**halvings - 1)) <= most:
             break
     return float(closest_m * 2 ** (spacing / _STEPS))
