@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hardware.described import Described
 from hardware.radar.own_detection import Detect, OwnDetection
 from hardware.radar.process import Processing
 from hardware.reconstruction import Method, method_of
@@ -43,8 +44,8 @@ _MOST_TWICE = 1_000_000
 _Camera = tuple[View | None, tuple[Evaluation, ...]]
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Described):
     """What a run computed; the first evaluation is the system asked for. Of a radar alone there is
     no view and no evaluation.
     """

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.errors import InputError
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.records.state import positions, rotations
@@ -44,8 +45,8 @@ class Wall:
             raise InputError(f"wall: distance {self.distance_m} m, expected a finite number")
 
 
-@dataclass(frozen=True, eq=False)
-class RadarImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class RadarImage(Described):
     """Complex image: a point echo of power P that all bursts see shows sqrt(P) at its place.
 
     ``value`` (n_down, n_cross) at ``down_range_m`` ahead of and ``cross_range_m`` left of the

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
+from hardware.described import Described
 from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
@@ -86,8 +87,8 @@ class Processing:
             object.__setattr__(self, "detection", detection_of(self.detection))
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
+@dataclass(frozen=True, eq=False, repr=False)
+class Frame(Described):
     """Result of one burst: detections, strongest first, the map, and warnings.
 
     ``middle_ns``: device clock in the middle of what was processed, when targets are where they are

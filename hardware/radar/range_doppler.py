@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whiten
@@ -21,8 +22,8 @@ Array = NDArray[np.float64]
 Power = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True, eq=False)
-class RangeDopplerMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeDopplerMap(Described):
     """Received power by delay and delay rate, that is by range and range rate.
 
     ``power_w`` (n_ranges, n_rates): a single target at a cell's centre has the power that one

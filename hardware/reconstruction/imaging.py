@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
+from hardware.described import Described
 from hardware.errors import InputError, check_kind
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
@@ -52,8 +53,8 @@ def fits_in_memory(name: str, patterns: Patterns) -> bool:
     return name != "lmmse" or not subset or bytes_needed(shape, patterns.indices) <= MOST_BYTES
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction(Described):
     """An image with its uncertainty.
 
     ``image`` and ``standard_error`` have shape ``(n_detectors, rows, columns)``, in the

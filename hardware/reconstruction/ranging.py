@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
+from hardware.described import Described
 from hardware.errors import InputError
 from hardware.patterns import RasterScan
 from hardware.reconstruction.depth import C_M_PER_S, depth
@@ -41,8 +42,8 @@ PULSE_UNKNOWN = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class RangeImage:
+@dataclass(frozen=True, eq=False, repr=False)
+class RangeImage(Described):
     """Amplitude and distance of every cell; arrays ``(n_detectors, rows, columns)``.
 
     ``amplitude`` in photo-electrons of a cell lit alone for one exposure: of phase shutters, half

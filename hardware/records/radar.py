@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.errors import InputError
 from hardware.records import container
 from hardware.records.state import QuaternionPose, RadarFrontEnd
 from hardware.waveform import OfdmWaveform, waveform_of
 
 
-@dataclass(frozen=True, eq=False)
-class RadarRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class RadarRecord(Described):
     """Raw IQ of one or more bursts; one burst is one coherent processing interval at one pose.
 
     Parameters

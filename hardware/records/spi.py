@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.errors import InputError
 from hardware.patterns import Patterns
 from hardware.patterns.from_record import patterns_from_record
@@ -16,8 +17,8 @@ from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
 _BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
 
-@dataclass(frozen=True, eq=False)
-class SpiRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpiRecord(Described):
     """One acquisition of a single-pixel camera.
 
     Parameters

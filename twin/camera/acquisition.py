@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.records import SpiRecord
 from twin.accuracy import Decision, missed_effects
 from twin.camera import light
@@ -47,8 +48,8 @@ Array = NDArray[np.float64]
 _ROUNDING = 1e-13
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
+@dataclass(frozen=True, eq=False, repr=False)
+class Capture(Described):
     """A record with the truth behind it. Only ``record`` exists on the vehicle.
 
     Where things move during the frame, all that is one number for a frame is that of its middle:

@@ -9,6 +9,7 @@ backscatter itself.
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from hardware.described import Described
 from hardware.patterns import OwnPatterns
 from hardware.reconstruction import (
     METHODS,
@@ -37,8 +38,8 @@ SHOWN = ("zero-fill", "lmmse")
 SHOWN_OF_OWN = ("least-squares", "lmmse")
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Described):
     """One system's capture with its reconstructions, best first, and their scores; ``asked``: the
     method that was asked for by its name.
     """

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from twin.accuracy import Decision
 from twin.camera.air import CellBackscatter
 from twin.camera.mounting import field_points
@@ -30,8 +31,8 @@ class DetectorLight:
     left_out: Array | float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class RenderedLight:
+@dataclass(frozen=True, eq=False, repr=False)
+class RenderedLight(Described):
     """All results of light transport for a scene and the geometry of a system.
 
     ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,

@@ -8,6 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from twin.engine import exr_threads, mitsuba
 from twin.optics.devices import CellGrid, Device, primary_rays
 from twin.optics.paths import albedo as reflectance
@@ -16,8 +17,8 @@ from twin.optics.ray_sets import RowRays
 _ALBEDO_SAMPLES = 64
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(Described):
     """Ground truth on the virtual image's grid, row 0 top, column 0 left.
 
     ``albedo``: reflectance at 1550 nm, mean over each cell, 0 where there is nothing. ``depth_m``:

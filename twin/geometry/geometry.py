@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from twin.errors import InputError
 from twin.geometry.edges import EdgeTable, edge_table, welded
 from twin.geometry.faces import areas, normals
@@ -17,8 +18,8 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 
-@dataclass(frozen=True, eq=False)
-class Geometry:
+@dataclass(frozen=True, eq=False, repr=False)
+class Geometry(Described):
     """Vertices (n, 3) in metres, faces (m, 3) by their corners' indices, texture coordinates (n, 2)
     or None.
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.records import QuaternionPose, RadarRecord
 from twin import __version__
 from twin.accuracy import Decision
@@ -36,8 +37,8 @@ _MOST_CELLS = 2**28  # of one record: a gigabyte
 STAGES = ("radar paths", "radar signal")
 
 
-@dataclass(frozen=True, eq=False)
-class RadarCapture:
+@dataclass(frozen=True, eq=False, repr=False)
+class RadarCapture(Described):
     """A record with everything the twin knows about it. Only ``record`` exists on the vehicle.
 
     ``truth`` is that of the first burst, ``bursts`` what was found at each. ``is_bounded``: whether

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware.described import Described
 from hardware.formatting import counted
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.output import cell
@@ -28,8 +29,8 @@ from twin.scene import Scene
 _CELLS = 2.0  # by which a detection may lie beside a target, in range and rate
 
 
-@dataclass(frozen=True, eq=False)
-class RadarEvaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class RadarEvaluation(Described):
     """One radar's capture, what the vehicle makes of its first burst, which true target each
     detection is (or None), what a track sees over all bursts, and what turns or swings.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
 from hardware.formatting import number, quantity_text
 from twin.files import InputError
 from twin.motion import Product, Still
@@ -46,8 +47,8 @@ class Sun:
         return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Described):
     """A validated scene. Scenes are equal that have the same name, path and content.
 
     ``materials`` are the rows that its objects use, by name; ``warnings`` name everything that was

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from hardware.described import Described
 from twin.files import InputError
 from twin.geometry import Geometry
 from twin.motion import Kinematics, Motion, Product, Still, Straight
@@ -21,8 +22,8 @@ RadarRole = Literal["surface", "optics", "table", "declared", "obstacle"]
 IN_PLACE = RigidTransform.identity()
 
 
-@dataclass(frozen=True, eq=False)
-class SceneObject:
+@dataclass(frozen=True, eq=False, repr=False)
+class SceneObject(Described):
     """A rigid body: a geometry of one material, and where it stands.
 
     ``reflectance`` at 1550 nm: one number, or a texture looked up by the geometry's ``uv``.

@@ -38,6 +38,13 @@ class Entry(Strict):
             if isinstance(value := getattr(part, name), Sourced)
         ]
 
+    def __repr__(self) -> str:
+        """Every value on a line: what `print` and a notebook show."""
+        lines = [f"  {name}: {setting_text(name, value.value)}" for name, value in self.values()]
+        return "\n".join([f"{type(self).__name__} {self.name}", *lines])
+
+    __str__ = __repr__
+
     def assumed(self) -> list[tuple[str, str]]:
         """Names of the values that are assumed, with what they are and why, in words."""
         return list(self._assumed)

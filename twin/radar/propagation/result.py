@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hardware.described import Described
 from hardware.waveform import C_M_PER_S
 from twin.accuracy import Decision
 from twin.radar.propagation.facets.convergence import BodyEcho
@@ -60,8 +61,8 @@ class Instant:
     contributions: Contributions
 
 
-@dataclass(frozen=True)
-class Propagation:
+@dataclass(frozen=True, repr=False)
+class Propagation(Described):
     """All contributions, and how the scene was understood.
 
     ``names``: of the first contributions, which are single paths, the nearest first. ``heard`` sums

@@ -20,13 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.described import Described
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Numbers = NDArray[np.uint32]
 
 
-@dataclass(frozen=True, eq=False)
-class Contributions:
+@dataclass(frozen=True, eq=False, repr=False)
+class Contributions(Described):
     """Echoes, in order.
 
     amplitude : (n,), complex
