@@ -29,12 +29,32 @@ _FEW = 1.082
 _SEED = 17
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScatterOfScores:
-    """Standard deviations over draws of the noise."""
+    """Standard deviations over draws of the noise, each computed where it is asked for.
 
-    psnr_db: float = 0.0
-    ssim: float = 0.0
+    ``truth`` (rows, columns), and the images ``seen`` (n_draws, rows, columns), none without noise.
+    """
+
+    truth: Array
+    seen: Array
+
+    @property
+    def psnr_db(self) -> float:
+        """Of the PSNR."""
+        if not len(self.seen):
+            return 0.0
+        levels_db = [psnr_db(self.truth, each) for each in self.seen]
+        return max(
+            _scatter(levels_db), _scatter_by_spectrum_db(np.nan_to_num(self.seen - self.truth))
+        )
+
+    @property
+    def ssim(self) -> float:
+        """Of the SSIM."""
+        if not len(self.seen):
+            return 0.0
+        return _scatter(similarities([self.truth] * len(self.seen), list(self.seen)))
 
 
 def scatter_over_noise(
@@ -52,19 +72,16 @@ def scatter_of_scores(capture: Capture, image: Reconstruction) -> ScatterOfScore
     Of methods that are not asked again, slow ones and a user's own: as if all of the image's error
     were noise, a random field with the spectrum that it has.
     """
-    if not capture.noise_draws.has_noise:
-        return ScatterOfScores()
     truth, backscatter_e = capture.measured_scene_e, capture.backscatter_e
+    if not capture.noise_draws.has_noise:
+        return ScatterOfScores(truth, np.empty((0, *truth.shape)))
     own, follows = image.picture - backscatter_e, Follows(capture, image)
     if follows.is_known:
         measured = capture.noise_draws.measured
         seen = np.stack([own, *(follows.picture(each) - backscatter_e for each in measured)])
     else:
         seen = np.stack([own, *(truth + field for field in _fields_like(own - truth))])
-    levels_db = [psnr_db(truth, each) for each in seen]
-    alike = similarities([truth] * len(seen), list(seen))
-    by_spectrum_db = _scatter_by_spectrum_db(np.nan_to_num(seen - truth))
-    return ScatterOfScores(max(_scatter(levels_db), by_spectrum_db), _scatter(alike))
+    return ScatterOfScores(truth, seen)
 
 
 def _scatter(drawn: Sequence[float] | Array) -> float:
