@@ -21,6 +21,7 @@ from hardware.records import RadarRecord, SpiRecord
 from hardware.sliding_images import SlidingImages
 from hardware.tracks import RadarTracks
 from hardware.tracks import cloud as track_cloud
+from hardware.words_of_motion import motion_in_words
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,8 @@ def _image(
         told, warnings = (words,), (*supported.warnings, *failed)
     else:
         image = reconstruct(record, method, motion=motion)
+        if isinstance(motion, Search):
+            told = (f"motion: {motion_in_words(image.motion)}",)
     cells, unit = image.image, "e-"
     if calibration:
         cells = calibration.reflectance(cells, record, calibration.target.distance_m)
@@ -116,14 +119,20 @@ def _images(
     calibration: CameraCalibration | None,
 ) -> RecordSummary:
     n = 0
-    for time_ns, cells in sliding.update(sensor, record):
+    between = sliding.update(sensor, record)
+    for time_ns, cells in between.images:
         if calibration:
             cells = calibration.reflectance(cells, record, calibration.target.distance_m)
         stamp = received.clock.host_ns(time_ns) if received.clock else received.host_ns
         picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
         log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
         n += 1
-    return RecordSummary((f"{n} images",))
+    told = (
+        (f"motion: {motion_in_words(between.motion)}",)
+        if isinstance(sliding.motion, Search)
+        else ()
+    )
+    return RecordSummary((f"{n} images", *told), between.warnings)
 
 
 def _detections(

@@ -1,6 +1,7 @@
 """Images of a camera between its whole sets of patterns: a new one after every few exposures."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +9,25 @@ from numpy.typing import NDArray
 from hardware.errors import InputError
 from hardware.patterns import PatternSet
 from hardware.reconstruction import measurements
-from hardware.reconstruction.motion import Motion
+from hardware.reconstruction.motion import Motion, Search
+from hardware.reconstruction.motion.compensated import motion_found
 from hardware.reconstruction.stream import SlidingWindow
 from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImagesBetween:
+    """Images of a record, made as they are asked for: device time, ns, and image (n_images, rows,
+    columns), electrons, of each.
+
+    ``motion``: by which they are predicted, None: values age; ``warnings``: why none was found.
+    """
+
+    images: Iterator[tuple[int, Array]]
+    motion: Motion | None
+    warnings: tuple[str, ...] = ()
 
 
 class SlidingImages:
@@ -23,20 +38,20 @@ class SlidingImages:
     every
         Patterns from one image to the next.
     motion
-        How the image moves, where it is known: the windows' prediction.
+        How the image moves, the same at all times: the windows' prediction. A `Search`: the shift
+        that each record's measurements tell, of all its images; where they tell none, values age.
 
     Raises InputError for a number below 1.
     """
 
-    def __init__(self, every: int, motion: Motion | None = None) -> None:
+    def __init__(self, every: int, motion: Motion | Search | None = None) -> None:
         if every < 1:
             raise InputError(f"every: {every}, expected at least 1 pattern")
         self.every, self.motion = every, motion
         self._cameras: dict[str, tuple[int, list[SlidingWindow]]] = {}  # with the last time, ns
 
-    def update(self, sensor: str, record: SpiRecord) -> Iterator[tuple[int, Array]]:
-        """Take in a record: device time, ns, and image (n_images, rows, columns), electrons, after
-        every so many patterns that arrived, and after the last.
+    def update(self, sensor: str, record: SpiRecord) -> ImagesBetween:
+        """Take in a record: an image after every so many patterns that arrived, and after the last.
 
         Cells that the patterns do not measure are NaN. The windows begin anew with other patterns,
         and where the sensor's clock runs back. The level of the image is 0 until the pattern that
@@ -50,22 +65,34 @@ class SlidingImages:
                 "user's own"
             )
         measured = measurements(received)
+        motion, warnings = self.motion, tuple[str, ...]()
+        if isinstance(motion, Search):
+            motion, warnings = motion_found(record, received, measured.noise_variance, motion)
         times_ns = _ends_ns(received)
         last_ns, windows = self._cameras.get(sensor, (times_ns[0], []))
         if not windows or windows[0].patterns != patterns or times_ns[0] < last_ns:
-            windows = [
-                SlidingWindow(patterns, float(s), self.motion) for s in measured.noise_variance
-            ]
+            windows = [SlidingWindow(patterns, float(s)) for s in measured.noise_variance]
         self._cameras[sensor] = int(times_ns[-1]), windows
         for window, variance in zip(windows, measured.noise_variance, strict=True):
-            window.noise_variance = float(variance)
+            window.noise_variance, window.motion = float(variance), motion
         places = np.flatnonzero(np.isin(patterns.indices, received.patterns.indices))
+        images = self._images(windows, places, measured.values, times_ns)
+        return ImagesBetween(images, motion, warnings)
+
+    def _images(
+        self,
+        windows: list[SlidingWindow],
+        places: NDArray[np.intp],
+        values: Array,
+        times_ns: NDArray[np.int64],
+    ) -> Iterator[tuple[int, Array]]:
+        patterns = windows[0].patterns
         for start in range(0, len(places), self.every):
             part = slice(start, start + self.every)
             time_ns = int(times_ns[part][-1])
             images = [
-                window.push(places[part], values, 1e-9 * time_ns)
-                for window, values in zip(windows, measured.values[part].T, strict=True)
+                window.push(places[part], of_one, 1e-9 * time_ns)
+                for window, of_one in zip(windows, values[part].T, strict=True)
             ]
             cells = np.where(patterns.unmeasured_cells, np.nan, np.stack(images))
             yield time_ns, cells.reshape(-1, patterns.rows, patterns.columns)

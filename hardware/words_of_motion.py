@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hardware.formatting import counted, number
 from hardware.reconstruction.motion.approach import PlaneMotion
 from hardware.reconstruction.motion.layers import Layers, MovingBox
+from hardware.reconstruction.motion.model import Motion, Shift
 from hardware.reconstruction.motion.sightings import SupportedMotion
 from hardware.rig_poses import LEAST_M_PER_S, LEAST_RAD_PER_S, RigState
 
@@ -24,6 +25,19 @@ class Proposal:
     tracks: int
     objects: int
     untold: str = ""
+
+
+def motion_in_words(motion: Motion | None) -> str:
+    """A motion in a few words."""
+    if motion is None:
+        return "none"
+    if isinstance(motion, Shift):
+        down, right = motion.down_cells_per_s, motion.right_cells_per_s
+        return f"{down:.4g} cells/s down, {right:.4g} cells/s to the right"
+    if isinstance(motion, Layers):
+        objects = counted(len(motion.objects), "object")
+        return f"background {motion_in_words(motion.background)}; {objects} in front of it"
+    return f"as given ({type(motion).__name__})"
 
 
 def told(found: SupportedMotion, proposal: Proposal, camera_m_per_s: Array) -> str:

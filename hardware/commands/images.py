@@ -60,11 +60,12 @@ def reconstruct(
 
     from hardware import read_record
     from hardware import reconstruct as to_image
-    from hardware.commands.motions import motion_of, told
+    from hardware.commands.motions import motion_of
     from hardware.files import whole_file
     from hardware.png import write_picture
     from hardware.reconstruction import method_of, range_image
     from hardware.records.state import ALWAYS_OPEN
+    from hardware.words_of_motion import motion_in_words
 
     solve, loaded = method_of(method), read_record(record)
     target = result_file(record, f"-{solve.name}.npz", out, png)
@@ -95,7 +96,7 @@ def reconstruct(
         ("noise of one measurement, median", "e-", _median(reconstruction.noise_electrons))
     )
     if motion:
-        say.line(f"motion within the frame: {told(reconstruction.motion)}")
+        say.line(f"motion within the frame: {motion_in_words(reconstruction.motion)}")
     arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
         typical = _median(reconstruction.standard_error)

@@ -39,22 +39,6 @@ def motion_of(given: str) -> "Motion | Search":
     return Shift(down, right)
 
 
-def told(motion: "Motion | None") -> str:
-    """A motion in a few words."""
-    from hardware.reconstruction.motion import Layers, Shift
-
-    if motion is None:
-        return "none"
-    if isinstance(motion, Shift):
-        down, right = motion.down_cells_per_s, motion.right_cells_per_s
-        return f"{down:.4g} cells/s down, {right:.4g} cells/s to the right"
-    if isinstance(motion, Layers):
-        n = len(motion.objects)
-        objects = f"{n} object{'s' if n != 1 else ''} in front of it"
-        return f"background {told(motion.background)}; {objects}"
-    return f"as given ({type(motion).__name__})"
-
-
 def _track(path: Path) -> "Motion":
     import csv
 

@@ -193,8 +193,8 @@ def _image_motion(
         raise InputError("--rig: is for --motion radar")
     if motion is None:
         return None
-    if image_every and motion in ("radar", "estimate"):
-        raise InputError(f"--motion: {motion}: needs whole sets, expected no --image-every")
+    if image_every and motion == "radar":
+        raise InputError("--motion: radar: needs whole sets, expected no --image-every")
     given = _motion_of_tracks(source, rig) if motion == "radar" else motion_of(motion)
     if image_every and isinstance(given, Layers | ShiftTrack):
         raise InputError(
