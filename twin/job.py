@@ -14,6 +14,7 @@ from hardware.records import write_radar_record, write_record
 from hardware.records.sigmf import export_sigmf
 from twin.camera.acquisition import capture
 from twin.camera.acquisition import stages as camera_stages
+from twin.camera.asked_scores import warned_of_scores
 from twin.camera.evaluation import Evaluation, evaluate
 from twin.camera.mounting import light_problem
 from twin.camera.truth import write_truth
@@ -21,7 +22,7 @@ from twin.camera.view import View, render_view
 from twin.child_process import Helper
 from twin.engine import use_cores
 from twin.errors import check_seed
-from twin.fidelity import Accuracy, Fidelity, knobs_of
+from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of
 from twin.files import InputError, check_out
 from twin.progress import Stages, StageTimes
 from twin.radar import RadarDesign, load_radar, radar_capture
@@ -69,6 +70,7 @@ def run(
     seed: int = 0,
     out: str | Path | None = None,
     fidelity: Accuracy | None = None,
+    score_tolerance: Tolerance | None = None,
     paths: bool = False,
     sigmf: bool = False,
     figures: bool = False,
@@ -102,6 +104,9 @@ def run(
         Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, the error that the
         model may add. Default: `Tolerance()`, light to a fifth of the sensor's noise, each body's
         echo to 10 % of its level.
+    score_tolerance
+        For whose scores ``fidelity`` was chosen (`twin.fidelity_for_scores`): images whose scores
+        are less exact are warned of.
     paths, sigmf
         Also write the radar's paths as ``paths.csv``, its IQ as SigMF.
     figures
@@ -162,6 +167,8 @@ def run(
             finally:
                 if apart:
                     use_cores(1)
+            if score_tolerance:
+                evaluations = tuple(warned_of_scores(e, score_tolerance) for e in evaluations)
             if evaluations:
                 first = evaluations[0].capture
                 write_truth(first.truth, partial / "truth.exr")

@@ -13,7 +13,7 @@ from twin.camera import light
 from twin.camera.assumptions import assumptions
 from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_range_error
 from twin.camera.cell_noise import cells_noise_e as noise_of_cells
-from twin.camera.chain import Chain
+from twin.camera.chain import Chain, Powers
 from twin.camera.design_warnings import design_warnings, lag_shares
 from twin.camera.distortion import distortions
 from twin.camera.frozen import frozen_error
@@ -281,10 +281,26 @@ def measure(
         light_systematic_e=side_by_side(to_e * power.left_out_w, system),
         decisions=decisions,
         range_error=range_error,
-        model_error=replace(model_error(chain, power, signal_w), scatter=scatter),
+        model_error=replace(
+            model_error(chain, power, signal_w),
+            scatter=scatter,
+            of_exposures=_error_of_exposures(frame, to_e, power, system),
+        ),
         noise_draws=NoiseDraws(chain, power, record, noise=noise, mean_w=mean_w, sun_w=open_w),
         distance_m=rendered.half_paths_m(),
     )
+
+
+def _error_of_exposures(
+    frame: FrameLight | None, to_e: float, power: Powers, system: System
+) -> Array | None:
+    """What paths of the exposures' light err by in each cell; where that is not told, as much as
+    those of the truth.
+    """
+    if frame is None or frame.signal_w is None:
+        return None
+    error_w = power.error_w if frame.paths_error_w is None else frame.paths_error_w
+    return side_by_side(to_e * np.broadcast_to(error_w, power.error_w.shape), system)
 
 
 def _without(cells_e: Array, backscatter_e: Array) -> Array:

@@ -21,6 +21,7 @@ class Follows:
 
     def __init__(self, capture: Capture, image: Reconstruction) -> None:
         self._image, method = image.image, METHODS.get(image.method)
+        self._of_other_paths = capture.model_error.of_exposures is not None
         self._method = None if method is None or method.slow else method
         if self._method is None:
             return
@@ -36,8 +37,10 @@ class Follows:
 
     def rest(self, error_e: Array) -> Array:
         """What the image leaves of an error (rows, columns) of the cells, with its sign: what it
-        follows less the error.
+        follows less the error. It follows nothing where exposures have light of other paths.
         """
+        if self._of_other_paths:
+            return -error_e
         if self._method is None or not np.isfinite(error_e).all():
             return -error_e
         if self._is_inverse:

@@ -341,7 +341,11 @@ def _unfollowed(capture: Capture, image: Reconstruction) -> tuple[Array, Array]:
     score of the same image.
     """
     follows, bound = Follows(capture, image), capture.light_systematic_e
-    return follows.rest(_drawn(capture)), follows.rest(bound + 0 * capture.measured_scene_e)
+    rest, of_exposures = follows.rest(_drawn(capture)), capture.model_error.of_exposures
+    if of_exposures is not None:
+        # Another draw than that of the truth.
+        rest = rest + of_exposures * _image_draws(rest.shape)[0][::-1, ::-1]
+    return rest, follows.rest(bound + 0 * capture.measured_scene_e)
 
 
 @lru_cache(maxsize=8)

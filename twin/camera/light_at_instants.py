@@ -25,7 +25,9 @@ def finest_s(chain: Chain) -> float:
 @dataclass(frozen=True, eq=False)
 class LightAtInstants:
     """Powers of cells at instants, (n, n_shutters, n_detectors, n_cells), and of the sun at its own
-    ones, (m, n_detectors), of a scanner (m, n_patterns, 1, n_detectors), W.
+    ones, (m, n_detectors), of a scanner (m, n_patterns, 1, n_detectors), W. ``paths_error_w``: what
+    paths of the cells' light err by at the worst instant, (n_detectors, n_cells); None: as in the
+    frame's middle.
     """
 
     times_s: Array
@@ -34,6 +36,7 @@ class LightAtInstants:
     sun_w: Array
     motion_error: float
     path_error: float = 0.0
+    paths_error_w: Array | None = None
 
     @property
     def sun_scatter_w(self) -> float:

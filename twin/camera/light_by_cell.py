@@ -99,7 +99,12 @@ def light_by_cell(
     sun = _sun(world, change, chain, problem, rendered, fidelity, second)
     cells_w = (watt * found.light)[:, None, None]
     error = math.hypot(found.motion_error, sun[2]) / math.sqrt(2)
-    return LightAtInstants(found.times_s, cells_w, *sun[:2], error, found.path_error)
+    if fidelity.has_light_tolerance:
+        permitted = _limit(fidelity, noise, rendered)
+    else:
+        permitted = tolerance / math.sqrt(2) * noise
+    paths_w = found.path_error * (permitted * watt)[None]
+    return LightAtInstants(found.times_s, cells_w, *sun[:2], error, found.path_error, paths_w)
 
 
 def _texture_moves(scene: Scene) -> bool:

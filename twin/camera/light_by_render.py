@@ -68,7 +68,8 @@ def light_by_render(
         np.array([getattr(found[i], name) for i in order]) for name in ("cells_w", "sun_w")
     )
     error = math.sqrt(worst / permitted) if permitted else 0.0
-    return LightAtInstants(at, cells_w, at, sun_w, error)
+    paths_w = np.max([here.error_w for here in found], axis=0)
+    return LightAtInstants(at, cells_w, at, sun_w, error, paths_error_w=paths_w)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,8 @@ class ModelError:
     ``signal_systematic``, ``background`` and ``background_systematic``: of the mean signal and of
     the sun's light, relative. ``scatter``: root mean square of what light is off by from exposure
     to exposure, over their noise; of motion that is taken as still a bound, where it is above 1.
+    ``of_exposures``: of cells in the exposures, electrons, (rows, columns), where their light is
+    of other paths than the truth; None where it is the same.
     """
 
     noise: Array
@@ -38,6 +40,7 @@ class ModelError:
     background: float
     background_systematic: float
     scatter: float = 0.0
+    of_exposures: Array | None = None
 
 
 #: Of a capture that is told nothing else.

@@ -41,7 +41,8 @@ class FrameLight:
     counts by less than the tolerance, so that the light of the middle is that of all exposures.
     ``decision``: at how many instants light was rendered, and what interpolation may be off by.
     ``pose``: the rig's at the start. ``sun_scatter``: what the sun's light is off by from instant
-    to instant, between exposures that are compared, over their noise.
+    to instant, between exposures that are compared, over their noise. ``paths_error_w``: what paths
+    of each cell's light err by at the worst instant, (n_detectors, n_cells); None: not told.
     """
 
     signal_w: Array | None
@@ -50,6 +51,7 @@ class FrameLight:
     decision: Decision
     warnings: tuple[CaptureWarning, ...] = ()
     sun_scatter: float = 0.0
+    paths_error_w: Array | None = None
 
 
 def world_in_motion(scene: Scene, system: System, fidelity: Fidelity) -> WorldInMotion | None:
@@ -119,7 +121,9 @@ def frame_light(
         by_paths = compared * _OF_PATHS * float(chain.powers(rendered).sun_error_w.max())
     warnings = _warnings(light, seen / change.noise_w, tolerance, fidelity)
     scatter = math.hypot(seen, by_paths) / change.noise_w
-    return FrameLight(signal_w, sun_w, scene.rig.pose, decision, warnings, scatter)
+    return FrameLight(
+        signal_w, sun_w, scene.rig.pose, decision, warnings, scatter, light.paths_error_w
+    )
 
 
 def _warnings(

@@ -111,6 +111,14 @@ def knobs_asked(
     return knobs_within(say, load, system, radar, within, fixed)
 
 
+def scores_asked(tolerance: str | None) -> "Tolerance | None":
+    """The option where it asks for scores, else None."""
+    from twin.fidelity import Tolerance
+
+    asked = None if tolerance is None else Tolerance.of(tolerance)
+    return asked if asked and asked.of_scores else None
+
+
 def knobs_for_scores(
     say: Output,
     load: "Callable[[], Scene]",
@@ -128,6 +136,8 @@ def knobs_for_scores(
         load(), tolerance, system=system, bandwidth_hz=bandwidth_hz, fixed=fixed
     )
     say.line(f"tolerance {tolerance}: {chosen}")
+    for warning in chosen.warnings:
+        say.warn(f"tolerance {tolerance}: {warning}")
     return chosen.fidelity
 
 

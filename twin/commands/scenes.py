@@ -21,6 +21,7 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    scores_asked,
 )
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ def run(
         seed=seed,
         out=out,
         fidelity=knobs,
+        score_tolerance=scores_asked(tolerance),
         paths=paths,
         sigmf=sigmf,
         figures=figures,

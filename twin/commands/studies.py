@@ -17,6 +17,7 @@ from twin.commands.arguments import (
     knobs_for_scores,
     knobs_within,
     only_one,
+    scores_asked,
 )
 
 if TYPE_CHECKING:
@@ -47,7 +48,8 @@ def sweep(
     A tolerance, fidelity or time given here takes the place of the tolerance or preset that the
     study sets; knobs that the study names stay.
     """
-    from twin.sweep import load_study, run_sweep
+    from twin.sweep import load_study, open_sweep, run_sweep
+    from twin.sweep.dataset import less_exact
 
     plan = load_study(study)
     accuracy = _accuracy_asked(
@@ -72,6 +74,9 @@ def sweep(
         without_effect=done.without_effect,
         reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
     )
+    if scores := scores_asked(tolerance):
+        for text in less_exact(open_sweep(done.out), scores):
+            say.warn(f"tolerance {scores}: {text}")
     for kind, n in done.warned:
         say.warn(f"{kind}: {counted(n, 'point')}, the first: {done.words[kind]}")
     if done.without_effect:
@@ -105,7 +110,7 @@ def _accuracy_asked(
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
-    of_score = asked if asked and asked.of_scores else None
+    of_score = scores_asked(tolerance)
     if within is None and of_score is None:
         return asked or fidelity
     with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent

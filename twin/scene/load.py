@@ -53,6 +53,8 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     """
     if pose is not None:
         check_kind("pose", pose, Pose, "twin.Pose")
+    if not isinstance(scene, str | Path | Scene):
+        raise InputError(f"scene = {scene!r:.60}: expected a name, a path or a twin.Scene")
     if isinstance(scene, Scene):
         return scene if pose is None else scene.at(pose)
     path = _find(scene)

@@ -1,14 +1,16 @@
 """Results of a sweep, labelled: metrics over the study's dimensions, with what was said of them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.formatting import counted, number
 from hardware.units import unit_of
 from twin.accuracy.interval import half_width as half_width_of
+from twin.fidelity import Tolerance
 from twin.files import InputError
 from twin.sweep.accuracy_names import TOLERANCE
 from twin.sweep.names import CLOSED_FORM, ERRORS, MODEL_ERRORS, RENDERED, error_of, is_own
@@ -177,6 +179,27 @@ def half_width(
         return None
     kinds = MODEL_ERRORS if of_model or f"{metric}.noise" not in data else ERRORS
     return half_width_of(**{"noise": 0.0, **{kind: data[f"{metric}.{kind}"] for kind in kinds}})
+
+
+def less_exact(data: "xarray.Dataset", tolerance: Tolerance) -> Iterator[str]:
+    """Scores that points know to less than asked, in words: light was chosen for the first point.
+    Those left at a coarse tolerance do not count.
+    """
+    for name, limit in (("psnr_db", tolerance.psnr_db), ("ssim", tolerance.ssim)):
+        if limit is None or name not in metrics_of(data):
+            continue
+        width = half_width(data, name, of_model=True)
+        assert width is not None  # of a rendered study
+        widths = width.to_numpy().ravel()
+        if COARSE in data:
+            widths = widths[~data[COARSE].to_numpy().ravel()]
+        over = widths > limit
+        if over.any():
+            yield (
+                f"{name}: {counted(int(over.sum()), 'point')} of {len(widths)} less exact than "
+                f"asked, {number(float(widths[over].max()), 2)} at worst: light was chosen for "
+                "the first point"
+            )
 
 
 def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":
