@@ -48,7 +48,8 @@ def decisions_on_effects(
 
     def on_light(effect: str, change: Array, each: Array = each, cost_s: float = 0.0) -> Decision:
         # No change counts nowhere, be it of no light.
-        over = _rms(np.divide(change, each, out=np.zeros_like(change), where=change > 0))
+        with np.errstate(divide="ignore"):  # any change is too much where none is permitted
+            over = _rms(np.divide(change, each, out=np.zeros_like(change), where=change > 0))
         return Decision("camera", effect, over, LEFT_OUT * tolerance, unit, True, cost_s)
 
     found = [_on_pupil(rendered, problem, chain.system)]

@@ -17,7 +17,12 @@ from twin.camera.air import airlight_of, backscatter_of, where_air_scatters
 from twin.camera.chain import Chain
 from twin.camera.effects import decisions_on_effects
 from twin.camera.equal_paths import sun_light, sun_shape, with_light
-from twin.camera.left_out import bounces_share, lie_in_a_plane, rounding_share
+from twin.camera.left_out import (
+    bounces_share,
+    lie_in_a_plane,
+    rounding_share,
+    typical_reflectance,
+)
 from twin.camera.light_within import FIRST_SAMPLES, with_light_within, with_sun_within
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
@@ -123,7 +128,8 @@ def _beyond(
     so, nearly all of them before that.
     """
     max_depth = fidelity.quality.most_bounces if by_chance else fidelity.max_depth
-    share = bounces_share(rendered.truth.albedo, float(max_depth), indirect)
+    reflectance = typical_reflectance(scene.objects, rendered.truth.albedo)
+    share = bounces_share(reflectance, float(max_depth), indirect)
     if by_chance and share <= _NOTHING:
         return 0.0
     return 0.0 if lie_in_a_plane(item.vertices_m for item in scene.objects) else share
@@ -154,7 +160,12 @@ def _uncertain(
         *undersampling_warnings(scene, emitter, image.size * samples),
         *grazing_warnings(image, cosines),
         *near_pupil_warnings(image, cosines, truth.depth_m, emitter, rendered.detector),
-        *truncation_warnings(light.indirect_share, truth.albedo, max_depth, by_chance=by_chance),
+        *truncation_warnings(
+            light.indirect_share,
+            typical_reflectance(scene.objects, truth.albedo),
+            max_depth,
+            by_chance=by_chance,
+        ),
         *scattering,
     )
 

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
 from twin.camera.equal_paths import SUN_PARTS
-from twin.camera.left_out import bounces_share, lie_in_a_plane, rounding_share
+from twin.camera.left_out import (
+    bounces_share,
+    lie_in_a_plane,
+    rounding_share,
+    typical_reflectance,
+)
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     grazing_warnings,
@@ -70,7 +75,11 @@ class UnitReflectanceLight:
         light = self.emitter_parts.with_reflectance(reflectance)
         sun = self.sun_parts.with_reflectance(reflectance)
         albedo = np.tensordot(reflectance, self.shares, axes=1)
-        bounces = 0.0 if self.is_flat else bounces_share(albedo, 1, None)
+        bounces = (
+            0.0
+            if self.is_flat
+            else bounces_share(typical_reflectance(scene.objects, albedo), 1, None)
+        )
         left_out = rounding_share(self.cosines).reshape(1, -1) + bounces
         cells, image = light.total.reshape(1, -1), light.total.reshape(self.cosines.shape)
         return RenderedLight(

@@ -25,7 +25,7 @@ _NO_MORE_PATHS = f"no more paths are traced; {_MORE_RAYS}"
 
 
 def truncation_warnings(
-    indirect_share: float, albedo: Array, max_depth: float, *, by_chance: bool = False
+    indirect_share: float, reflectance: float, max_depth: float, *, by_chance: bool = False
 ) -> list[CaptureWarning]:
     """Light of bounces beyond ``max_depth``, as a share of the computed light: `bounces_share`.
 
@@ -33,7 +33,7 @@ def truncation_warnings(
     """
     if max_depth in (1, math.inf) or not indirect_share:
         return []
-    lost = bounces_share(albedo, max_depth, indirect_share)
+    lost = bounces_share(reflectance, max_depth, indirect_share)
     if lost < _WORTH_SAYING:
         return []
     bounces, knob = f"max_depth {max_depth:g}", ""
@@ -44,7 +44,7 @@ def truncation_warnings(
         return [CaptureWarning("rendering", text)]
     text = (
         f"bounces beyond {bounces} are cut off: some {100 * lost:.2g} % more light, "
-        f"if the reflectances in sight are typical of the scene{knob}"
+        f"if the scene is as bright as its mean reflectance{knob}"
     )
     return [CaptureWarning("rendering", text)]
 

@@ -130,6 +130,7 @@ def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
             log.message(topic, definition, message, event.end_ns, middle_ns)
         at_ns = (event.begin_ns, middle_ns)
         states(log, ObjectStates.at(plan.scene, 1e-9 * np.array(at_ns)), at_ns, event.end_ns)
+        return_freed_memory()
 
     def burst(log: Log, event: Event) -> None:
         record, middle_ns = radar(event.number), plan.burst_ns(event.number)
