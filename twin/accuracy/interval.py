@@ -58,7 +58,9 @@ class Interval:
 
     @property
     def of_model(self) -> "Interval":
-        """The same for the same draw of the noise: what the model alone may be off by."""
+        """The same for the same noise, in the mean over its draws: what the model alone may be off
+        by. Light a little other has other counts rounded, which moves one frame as noise does.
+        """
         return replace(self, noise=0.0)
 
     @property
