@@ -23,12 +23,13 @@ from hardware import (
     reconstruct,
     tracked_boxes,
 )
-from hardware.commands.motions import motion_of, told
+from hardware.commands.motions import motion_of
 from hardware.patterns import hadamard_rows
 from hardware.radar.tracking import TargetTrack
 from hardware.reconstruction.motion.knobs import STANDARD
 from hardware.reconstruction.motion.operators import moving_patterns
 from hardware.reconstruction.motion.timing import timed_rows
+from hardware.words_of_motion import motion_in_words
 
 N = 32
 WALL, CAR = AnalyticScene.of(11, N, 16.0), AnalyticScene.of(12, N, 16.0)
@@ -273,7 +274,7 @@ def test_objects_in_a_file(tmp_path: Path) -> None:
         "[[object]]\nbox_cells = [9.5, 11.5, 21.5, 23.5]\ncells_per_s = [-2, -9]\n"
     )
     assert motion_of(str(path)) == LAYERS
-    assert told(LAYERS) == (
+    assert motion_in_words(LAYERS) == (
         "background 1 cells/s down, 3 cells/s to the right; 1 object in front of it"
     )
 
