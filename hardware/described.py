@@ -8,6 +8,7 @@ import numpy as np
 
 _WIDEST = 88
 _FEW = 8  # items that are shown one by one
+_MOST_LOOKED_AT = 100_000_000  # elements of an array whose range is told
 
 
 class Described:
@@ -25,12 +26,20 @@ class Described:
     """
 
     def __repr__(self) -> str:
-        lines = [f"  {f.name}: {_short(getattr(self, f.name))}" for f in fields(self)]  # type: ignore[arg-type]
+        lines = [f"  {f.name}: {_shown(getattr(self, f.name))}" for f in fields(self)]  # type: ignore[arg-type]
         return "\n".join([type(self).__name__, *lines])
 
 
+def _shown(value: Any) -> str:
+    """On one line; of a value that cannot show itself its kind."""
+    try:
+        return _short(value)
+    except Exception:  # whatever a user's own object does, the others are shown
+        return type(value).__name__
+
+
 def _short(value: Any) -> str:
-    """On one line."""
+    """As `_shown`."""
     if isinstance(value, np.ndarray) and value.size > _FEW:
         return _of_array(value)
     if isinstance(value, Mapping):
@@ -38,9 +47,8 @@ def _short(value: Any) -> str:
     if isinstance(value, tuple | list) and (len(value) > _FEW or any(map(_is_large, value))):
         kinds = dict.fromkeys(type(item).__name__ for item in value)
         return f"{len(value)} of {', '.join(kinds)}"
-    if _is_large(value):
-        name = getattr(value, "name", "")
-        return f"{type(value).__name__} {name}".rstrip()
+    if isinstance(value, Described) or hasattr(type(value), "model_fields"):
+        return f"{type(value).__name__} {getattr(value, 'name', '')}".rstrip()
     return _cut(str(value))
 
 
@@ -52,7 +60,7 @@ def _is_large(value: Any) -> bool:
 
 def _of_array(array: np.ndarray[Any, Any]) -> str:
     text = f"{array.dtype} {array.shape}"
-    if array.dtype.kind in "iuf":
+    if array.dtype.kind in "iuf" and array.size <= _MOST_LOOKED_AT:
         known = array[np.isfinite(array)]
         if known.size:
             least, most = known.min(), known.max()

@@ -16,6 +16,9 @@ from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
 
+#: Modes each of whose values is of one time.
+_OF_ONE_TIME = ("differential", "complementary")
+
 
 @dataclass(frozen=True, eq=False)
 class ImagesBetween:
@@ -39,14 +42,18 @@ class SlidingImages:
         Patterns from one image to the next.
     motion
         How the image moves, the same at all times: the windows' prediction. A `Search`: the shift
-        that each record's measurements tell, of all its images; where they tell none, values age.
+        that each record's measurements tell, of all its images and detectors; where they tell none,
+        values age. Only of modes ``differential`` and ``complementary``, whose values are each of
+        one time; in others, whose values hold the mean of a set, they age.
 
-    Raises InputError for a number below 1.
+    Raises InputError for a number that is not whole and from 1 on, and for another kind of motion.
     """
 
     def __init__(self, every: int, motion: Motion | Search | None = None) -> None:
-        if every < 1:
-            raise InputError(f"every: {every}, expected at least 1 pattern")
+        if isinstance(every, bool) or not isinstance(every, int) or every < 1:
+            raise InputError(f"every: {every!r:.60}, expected a whole number of patterns from 1 on")
+        if motion is not None and not isinstance(motion, Motion | Search):
+            raise InputError(f"motion: {motion!r:.60}, expected a motion, Search() or None")
         self.every, self.motion = every, motion
         self._cameras: dict[str, tuple[int, list[SlidingWindow]]] = {}  # with the last time, ns
 
@@ -66,7 +73,13 @@ class SlidingImages:
             )
         measured = measurements(received)
         motion, warnings = self.motion, tuple[str, ...]()
-        if isinstance(motion, Search):
+        if motion is not None and patterns.mode not in _OF_ONE_TIME:
+            told = (
+                f"motion: does not predict images between whole sets of mode {patterns.mode}, "
+                f"expected {' or '.join(_OF_ONE_TIME)}: older values age"
+            )
+            motion, warnings = None, (told,)
+        elif isinstance(motion, Search):
             motion, warnings = motion_found(record, received, measured.noise_variance, motion)
         times_ns = _ends_ns(received)
         last_ns, windows = self._cameras.get(sensor, (times_ns[0], []))
@@ -74,7 +87,8 @@ class SlidingImages:
             windows = [SlidingWindow(patterns, float(s)) for s in measured.noise_variance]
         self._cameras[sensor] = int(times_ns[-1]), windows
         for window, variance in zip(windows, measured.noise_variance, strict=True):
-            window.noise_variance, window.motion = float(variance), motion
+            window.noise_variance = float(variance)
+            window.goes_on(motion, 1e-9 * int(times_ns[0]))
         places = np.flatnonzero(np.isin(patterns.indices, received.patterns.indices))
         images = self._images(windows, places, measured.values, times_ns)
         return ImagesBetween(images, motion, warnings)
@@ -91,7 +105,7 @@ class SlidingImages:
             part = slice(start, start + self.every)
             time_ns = int(times_ns[part][-1])
             images = [
-                window.push(places[part], of_one, 1e-9 * time_ns)
+                window.push(places[part], of_one, np.asarray(1e-9 * times_ns[part]))
                 for window, of_one in zip(windows, values[part].T, strict=True)
             ]
             cells = np.where(patterns.unmeasured_cells, np.nan, np.stack(images))

@@ -101,6 +101,11 @@ def process(
     from hardware.sliding_images import SlidingImages
     from hardware.tracks import RadarTracks
 
+    if image_every and method != "lmmse":
+        raise InputError(
+            f"--method: {method}: images between whole sets are linear estimates, expected no "
+            "--method beside --image-every"
+        )
     image_motion = _image_motion(source, motion, rig, image_every)
     camera, radar = _calibrations(calibration, max_age)
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)

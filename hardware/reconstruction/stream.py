@@ -10,7 +10,7 @@ Where the motion is given, each value is instead taken at its own time of an ima
 by it: nothing ages, and the image is the linear estimate of all values as of now.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from hardware.patterns import PatternSet
 from hardware.reconstruction.cosine import filtered
 from hardware.reconstruction.motion.compensated import MovingScene
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
-from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.motion.model import Motion, Shift, Translation
 from hardware.reconstruction.motion.operators import farthest_cells, moving_patterns
 from hardware.reconstruction.motion.timing import TimedRows
 from hardware.reconstruction.prior import prior_scale, prior_spectrum, walsh_variance
@@ -44,7 +44,7 @@ class SlidingWindow:
         Of one Hadamard measurement, electrons squared.
     motion
         How the image moves, as its prediction from one time to the next; its time 0 is now. None:
-        unknown, values age.
+        unknown, values age. See `goes_on`.
     compensation
         Knobs of motion compensation; the prior stays 1/f^2, and there are no standard errors.
     """
@@ -69,6 +69,14 @@ class SlidingWindow:
         self._values = np.zeros(patterns.count)
         self._time_s = np.full(patterns.count, -np.inf)
         self._changed, self._expected, self._compared = 0.0, 0.0, 0.0
+        self._before, self._since_s = motion, -np.inf
+
+    def goes_on(self, motion: Motion | None, since_s: float) -> None:
+        """Another motion from a time on; values before it moved as was said before, or not at all.
+
+        Of motions that are not alike all over the image the new one is taken for all values.
+        """
+        self._before, self.motion, self._since_s = self.motion, motion, since_s
 
     @property
     def motion_per_s(self) -> float:
@@ -81,7 +89,7 @@ class SlidingWindow:
         scatter = 2 * self.noise_variance * np.sqrt(2 * self._compared)
         return max(self._changed - 2 * scatter, 0.0) / self._expected
 
-    def push(self, places: NDArray[np.integer], values: Array, time_s: float) -> Array:
+    def push(self, places: NDArray[np.integer], values: Array, time_s: float | Array) -> Array:
         """Take new measurements and give the image as of now, ``(n_cells,)``.
 
         Parameters
@@ -91,29 +99,35 @@ class SlidingWindow:
         values : (n,)
             Their Hadamard measurements, electrons.
         time_s
-            When; must not run backwards.
+            When, of all or of each, (n,); now is the last. Must not run backwards.
         """
         places = np.asarray(places)
         if places.shape != np.shape(values):
             raise InputError(f"values: shape {np.shape(values)}, expected {places.shape}")
-        if not (np.isfinite(values).all() and np.isfinite(time_s)):
+        if not (np.isfinite(values).all() and np.isfinite(time_s).all()):
             raise InputError("values: hold what is not a number")
         if places.size and (places.min() < 0 or places.max() >= self.patterns.count):
             raise InputError(f"places: outside 0 to {self.patterns.count - 1}")
-        if time_s < self._time_s.max():
-            raise InputError(f"time_s: {time_s} lies before {self._time_s.max()}")
+        times = np.broadcast_to(np.asarray(time_s, np.float64), places.shape)
+        now_s = float(np.max(time_s))
+        if np.min(time_s) < self._time_s.max():
+            raise InputError(f"time_s: {np.min(time_s)} lies before {self._time_s.max()}")
         if self.motion is None:
-            self._learn_motion(places, values, time_s)
+            self._learn_motion(places, values, times)
         self._values[places] = values
-        self._time_s[places] = time_s
-        if self.motion is not None and (moved := self._predicted(time_s, self.motion)) is not None:
+        self._time_s[places] = times
+        if self.motion is not None and (moved := self._predicted(now_s, self.motion)) is not None:
             return moved
-        return self._image(time_s)
+        return self._image(now_s)
 
     def _predicted(self, time_s: float, motion: Motion) -> Array | None:
         """The image as of now, of all values at their own times; None where nothing has moved."""
         seen = np.isfinite(self._time_s)
         shape = (self.patterns.rows, self.patterns.columns)
+        if np.isfinite(self._since_s) and isinstance(motion, Translation):
+            before = Shift(0.0, 0.0) if self._before is None else self._before
+            if isinstance(before, Translation):
+                motion = _Turned(before, motion, self._since_s - time_s)
         age = (self._time_s[seen] - time_s)[None]
         if not age.size or farthest_cells(motion, age, shape) <= self.compensation.still_cells:
             return None
@@ -127,11 +141,12 @@ class SlidingWindow:
         )
         return scene.linear(noise)[0][:, 0]
 
-    def _learn_motion(self, places: NDArray[np.integer], values: Array, time_s: float) -> None:
-        again = places[np.isfinite(self._time_s[places]) & (self._prior[places] > 0)]
+    def _learn_motion(self, places: NDArray[np.integer], values: Array, times: Array) -> None:
+        known = np.isfinite(self._time_s[places]) & (self._prior[places] > 0)
+        again = places[known]
         if again.size == 0:
             return
-        fresh = np.asarray(values)[np.isin(places, again)]
+        fresh, time_s = np.asarray(values)[known], times[known]
         keep = MEMORY ** (again.size / self.patterns.count)
         change = np.sum((fresh - self._values[again]) ** 2) - 2 * again.size * self.noise_variance
         expected = self._scale() * np.sum(self._prior[again] * (time_s - self._time_s[again]))
@@ -160,3 +175,22 @@ class SlidingWindow:
         duals = self._blocks.duals_unequal(np.where(seen, self._values, 0.0), ratios)
         spectrum = prior_spectrum(self.patterns.rows, self.patterns.columns)
         return mean + filtered(self._sensing.adjoint(duals), spectrum)
+
+
+@dataclass(frozen=True)
+class _Turned(Translation):
+    """One motion up to a time, another from then on."""
+
+    before: Translation
+    after: Translation
+    since_s: float
+
+    def displacement(self, time_s: Array) -> Array:
+        """See `Translation.displacement`."""
+        times, turn_s = np.asarray(time_s), np.array([self.since_s])
+        found = self.after.displacement(np.maximum(times, self.since_s))
+        is_before = times < self.since_s
+        if is_before.any():
+            first = self.before.displacement(times[is_before])
+            found[is_before] += first - self.before.displacement(turn_s)
+        return found

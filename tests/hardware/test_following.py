@@ -1,7 +1,9 @@
 """`ugv process --tracks` and `--image-every`: what one record after another adds up to."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from moving_scenes import AnalyticScene, moving_record, psnr
 from radar_cubes import WIDE, Echo, cube
 from ugv_command import ugv
 
-from hardware import InputError, PatternSet, QuaternionPose, SpiRecord
+from hardware import InputError, PatternSet, QuaternionPose, Shift, SpiRecord
 from hardware.radar import Detection
 from hardware.reconstruction import METHODS, measurements, reconstruct
 from hardware.reconstruction.motion import Search
@@ -128,37 +130,80 @@ def test_lost_patterns_are_passed_over() -> None:
         SlidingImages(0)
 
 
+SIDE = 16
+SCENE = AnalyticScene.of(3, SIDE, 40.0)
+
+
+def moving_sets(right_cells: Callable[[float], float], mode: str = "differential"):
+    """Three records, one after another, of a picture that moves, and its cells at a time, s."""
+
+    def cells(time_s: float) -> np.ndarray:
+        return SCENE.cells(SIDE, 0.3 * right_cells(time_s), right_cells(time_s))
+
+    patterns = PatternSet(SIDE, SIDE, SIDE**2, "interleaved", mode=mode)  # type: ignore[arg-type]
+    records = []
+    for k in range(3):
+        made = moving_record(
+            lambda t, k=k: cells(t + k).ravel(), patterns, noise=0.01, seed=k, background=1e6
+        )
+        records.append(replace(made, device_time_ns=made.device_time_ns + k * 10**9))
+    first = records[0].device_time_ns
+    return records, cells, 5e-10 * (first[0] + first[-1])
+
+
+def levels(right_cells: Callable[[float], float], motion: Any, every: int = 64) -> np.ndarray:
+    """PSNR of the images of every record, dB, (n_records, n_images)."""
+    records, cells, middle_s = moving_sets(right_cells)
+    sliding, found = SlidingImages(every, motion), []
+    for record in records:
+        between = sliding.update("/spi", record).images
+        found.append([psnr(x[0] / 1e5, cells(1e-9 * ns - middle_s)) for ns, x in between])
+    return np.array(found)
+
+
 @pytest.mark.parametrize("cells", [0.0, 4.0])
 def test_a_shift_that_the_record_tells_is_the_prediction(cells: float) -> None:
-    """Two sets of a picture that moves by so many cells a set: images after every 64 patterns are
-    better by some 4 dB than where values age; of one at rest they are the same.
+    """Better by some 4 dB than where values age; of a scene at rest the images are the same."""
+    aged, told = (levels(lambda t: cells * t, motion) for motion in (None, Search()))
+    gain_db = (told - aged)[1:].mean()
+    assert gain_db > 3 if cells else np.array_equal(told, aged)
+
+
+@pytest.mark.thorough
+def test_values_before_a_turn_moved_as_they_did_before() -> None:
+    """Motion that is reversed between the second set and the third: where the new velocity was
+    taken for the values before it, images were 7 to 11 dB worse than where values age.
     """
-    scene, side = AnalyticScene.of(3, 16, 40.0), 16
-    records = [
-        moving_record(
-            lambda t, k=k: scene.cells(side, 0.3 * cells * (t + k), cells * (t + k)).ravel(),
-            PatternSet(side, side, side**2, "interleaved"),
-            noise=0.01,
-            seed=k,
-            background=1e6,
-        )
-        for k in range(2)
-    ]
-    records[1] = replace(records[1], device_time_ns=records[1].device_time_ns + 10**9)
-    middle_s = 5e-10 * (records[0].device_time_ns[0] + records[0].device_time_ns[-1])
-    level = {}
-    for motion in (None, Search()):
-        sliding, levels = SlidingImages(64, motion), []
-        for record in records:
-            found = sliding.update("/spi", record)
-            assert (found.motion is None) == (motion is None or cells == 0)
-            for time_ns, image in found.images:
-                now_s = 1e-9 * time_ns - middle_s
-                truth = scene.cells(side, 0.3 * cells * now_s, cells * now_s)
-                levels.append(psnr(image[0] / 1e5, truth))
-        level[motion] = np.mean(levels[4:])
-    gain_db = level[Search()] - level[None]
-    assert gain_db > 3 if cells else gain_db == 0
+    there_and_back = lambda t: 6.0 * (t if t < 1.5 else 3.0 - t)  # noqa: E731
+    aged, told = (levels(there_and_back, motion) for motion in (None, Search()))
+    assert (told - aged)[2].min() > 2
+
+
+def test_one_image_a_set_takes_patterns_at_their_own_times() -> None:
+    """As whole sets do; patterns between two images were taken as of one time."""
+    known = levels(lambda t: 4.0 * t, Shift(1.2, 4.0), every=256)
+    assert known[:, 0].min() > 8 + levels(lambda t: 4.0 * t, None, every=256)[:, 0].max()
+
+
+@pytest.mark.parametrize("mode", ["plain", "reference", "s-matrix"])
+def test_motion_predicts_no_values_that_hold_a_mean_of_the_set(mode: str) -> None:
+    """They were taken as of one time: images were up to 5 dB worse than where values age."""
+    records, _, _ = moving_sets(lambda t: 4.0 * t, mode)
+    told = SlidingImages(64, Shift(1.2, 4.0)).update("/spi", records[0])
+    aged = SlidingImages(64).update("/spi", records[0])
+    assert told.motion is None
+    assert "motion: does not predict images between whole sets" in told.warnings[0]
+    for (_, one), (_, other) in zip(told.images, aged.images, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("every", "motion", "told"),
+    [(1.5, None, "every: 1.5"), (True, None, "every: True"), (8, (0, 4), r"motion: \(0, 4\)")],
+)
+def test_wrong_arguments_are_named(every: Any, motion: Any, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        SlidingImages(every, motion)
 
 
 def test_the_command(tmp_path: Path) -> None:

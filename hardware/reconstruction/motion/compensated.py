@@ -267,14 +267,31 @@ def motion_found(
     timed = timed_rows(patterns, received.electrons, time_s, pairs_apart=False)
     estimate = estimated_shift(patterns, timed, noise_variance, search)
     if estimate.is_significant:
-        return estimate.shift, ()
+        return estimate.shift, tuple(_badly_told(patterns, timed))
     return None, tuple(hardly_told(patterns, timed))
+
+
+def _badly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
+    """Where a motion was found in patterns of one sequency that are all shown at about one time."""
+    if _is_in_order(patterns, timed):
+        yield (
+            "motion: may be off by some cells a frame: patterns were shown from coarse to fine; "
+            "show them in the order `interleaved`"
+        )
+
+
+def _is_in_order(patterns: PatternSet, timed: TimedRows) -> bool:
+    """Whether patterns are shown from coarse to fine, or the other way."""
+    from scipy.stats import spearmanr  # takes 0.3 s to import
+
+    detail = timed.rows[0] != 0
+    variance = walsh_variance(patterns.rows, patterns.columns)[timed.rows[0][detail]]
+    in_turn = spearmanr(variance, timed.time_s[0][detail]).statistic
+    return abs(float(in_turn)) > _IN_ORDER
 
 
 def hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
     """Where patterns of one sequency are all shown at about one time."""
-    from scipy.stats import spearmanr  # takes 0.3 s to import
-
     detail = timed.rows[0] != 0
     if np.count_nonzero(detail) < FEWEST_SEARCHED or np.ptp(timed.time_s) == 0:
         yield (
@@ -282,9 +299,7 @@ def hardly_told(patterns: PatternSet, timed: TimedRows) -> Iterator[str]:
             f"{FEWEST_SEARCHED + 1} shown at different times are needed"
         )
         return
-    variance = walsh_variance(patterns.rows, patterns.columns)[timed.rows[0][detail]]
-    in_turn = spearmanr(variance, timed.time_s[0][detail]).statistic
-    if abs(float(in_turn)) > _IN_ORDER:
+    if _is_in_order(patterns, timed):
         yield (
             "motion: none is compensated, and if there is any this record hardly tells it: its "
             "patterns were shown from coarse to fine; show them in the order `interleaved`, or "
