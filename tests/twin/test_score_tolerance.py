@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 import twin
 from hardware import reconstruct
 from twin.camera.acquisition import measure
+from twin.camera.asked_scores import warned_of_scores
 from twin.camera.light import render
 from twin.camera.score import score_of
 from twin.cli import app
@@ -144,3 +145,42 @@ def test_what_no_light_gives_is_not_promised(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("twin.trade.score_tolerance._LEAST", 1.9)
     with pytest.raises(InputError, match=r"cannot be promised: at 1\.9 of the noise lmmse"):
         fidelity_for_scores("table1", Tolerance(psnr_db=0.001), system=small())
+
+
+def test_images_that_are_less_exact_than_asked_are_warned_of() -> None:
+    """Those by another method, or of another system, than light was chosen for."""
+    taken = twin.capture(twin.load_scene("table1"), small(), seed=1, fidelity=Tolerance(1.0))
+    found = twin.evaluate(small(), taken)
+    assert warned_of_scores(found, Tolerance(psnr_db=20.0)) is found
+    warned = warned_of_scores(found, Tolerance(psnr_db=0.001, ssim=1.0)).capture.warnings
+    told = [str(one) for one in warned if "light was chosen for another image" in str(one)]
+    assert any(text.startswith("lmmse: PSNR in dB is known to ") for text in told)
+    assert not any("SSIM" in text for text in told)
+
+
+def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Path) -> None:
+    """Light is chosen for the first point; from 20 m farther off its errors are larger."""
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'scene = "table1"\nmetrics = ["psnr_db"]\n[set]\n"system.emitter.rows" = 16\n'
+        '"system.emitter.columns" = 16\n"system.acquisition.n_patterns" = 256\n'
+        '[grid]\n"scene.rig.x_m" = [1.0, -20.0]\n'
+    )
+    options = ["--workers", "0", "--out", str(tmp_path / "out"), "--tolerance", "PSNR 0.1 dB"]
+    found = CliRunner().invoke(app, ["sweep", str(study), *options])
+    assert "psnr_db: 1 point of 2 less exact than asked" in found.output + found.stderr
+
+
+def test_rounding_that_moves_the_score_of_one_frame_is_told() -> None:
+    """A converter whose step is larger than the noise: another light has other counts rounded."""
+    for bits, is_told in ((14, True), (24, False)):
+        system = small(**{"readout.adc_bits": bits})
+        found = fidelity_for_scores("table1", Tolerance(psnr_db=0.3), system=system, seed=1)
+        assert any("in the mean over draws" in text for text in found.warnings) == is_told
+
+
+def test_a_share_below_the_default_holds_beside_a_score() -> None:
+    found = fidelity_for_scores("table1", Tolerance.of("0.05, PSNR 5 dB"), system=small())
+    assert found.tried == (0.05,)
+    with pytest.raises(InputError, match="samples: is given, and would follow from"):
+        fidelity_for_scores("table1", Tolerance(psnr_db=1.0), fixed={"samples": 4})
