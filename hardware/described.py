@@ -39,7 +39,7 @@ def _shown(value: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """As `_shown`."""
+    """On one line; whatever a value raises that shows itself goes on."""
     if isinstance(value, np.ndarray) and value.size > _FEW:
         return _of_array(value)
     if isinstance(value, Mapping):

@@ -69,7 +69,8 @@ class SlidingWindow:
         self._values = np.zeros(patterns.count)
         self._time_s = np.full(patterns.count, -np.inf)
         self._changed, self._expected, self._compared = 0.0, 0.0, 0.0
-        self._before, self._since_s = motion, -np.inf
+        self._before: Motion | None = None
+        self._since_s = -np.inf  # no motion before
 
     def goes_on(self, motion: Motion | None, since_s: float) -> None:
         """Another motion from a time on; values before it moved as was said before, or not at all.

@@ -1,0 +1,58 @@
+"""Light of bounces that fixed knobs cut off, where it comes by surfaces that are not seen."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.physics.moving_worlds import plate, small, world
+from twin.camera import capture
+from twin.camera.intervals import background_interval
+from twin.camera.left_out import bounces_share, typical_reflectance
+from twin.fidelity import PRESETS
+from twin.geometry import Geometry
+from twin.scene import SceneObject, Sun
+from twin.scene.texture import Texture
+
+
+def wall(name: str, y: float, inward: int) -> SceneObject:
+    """An upright wall of 8 x 4 m along the view, beside it, as bright as snow."""
+    corners = np.array([[0, y, -2], [8, y, -2], [8, y, 2], [0, y, 2]], np.float64)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)[:, ::inward]
+    return SceneObject(name, Geometry(corners, faces), "m", 0.88)
+
+
+def test_the_reflectance_of_bounces_is_the_brighter_of_what_is_seen_and_of_all() -> None:
+    """By areas: 32 m^2 of .9 and 4 m^2 of a texture of .1 and .3 beside what is seen, of .5."""
+    bright = replace(wall("bright", 2.0, 1), reflectance=0.9)
+    dark = replace(plate("dark", (-1, 1), (-1, 1)), reflectance=Texture(np.float32([[0.1, 0.3]])))
+    of_all = (32 * 0.9 + 4 * 0.2) / 36
+    assert typical_reflectance([bright, dark], np.array([[0.5, 0.0]])) == pytest.approx(of_all)
+    assert typical_reflectance([dark], np.array([[0.5, 0.0]])) == 0.5
+    assert typical_reflectance([], np.zeros((1, 1))) == 0
+    assert bounces_share(0.5, 3, None) == pytest.approx(1 / 7)
+    assert bounces_share(0.0, 3, None) == 0
+
+
+def test_sunlight_by_two_bright_walls_beside_the_field_is_within_what_is_stated() -> None:
+    """The camera sees a dark end alone; the sun comes to it by the walls, many times. The stated
+    error followed from the end's reflectance, and the sun was off by 3 times as much.
+    """
+    end = replace(plate("end", (-1.5, 1.5), (-2, 2), 8.0), reflectance=0.1)
+    sun = Sun(azimuth_deg=80.0, elevation_deg=35.0, illuminance_lx=20_000.0)
+    scene = replace(world(end, wall("left", 1.5, 1), wall("right", -1.5, -1)), sun=sun)
+    cut, whole = (
+        background_interval(
+            capture(
+                replace(scene, path=Path(f"depth{depth}")),
+                small(),
+                seed=1,
+                fidelity=PRESETS["standard"].with_(max_depth=depth, samples=256),
+            )
+        )
+        for depth in (4, 40)
+    )
+    off = abs(cut.value - whole.value)
+    assert off > 0.02 * whole.value
+    assert off < cut.of_model.half_width + whole.of_model.half_width
