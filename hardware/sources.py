@@ -126,7 +126,7 @@ def _radio(
 ) -> Records:
     from hardware.drivers.radio import acquire, open_radio
 
-    clock = ClockFilter()
+    clock = ClockFilter(url)
     with open_radio(url, sample_rate_hz=schedule.waveform.bandwidth_hz, over=over) as radio:
         for _ in range(_FIRST_EXCHANGES):
             _exchange(radio, clock)

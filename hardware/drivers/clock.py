@@ -3,9 +3,11 @@
 Each exchange (host sends t0, device receives t1 and sends t2, host receives t3) gives the offset
 ((t1 - t0) + (t2 - t3)) / 2, with an error of half the asymmetry of the two ways, so of less than
 half the round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). Exchanges with short round
-trips are the most accurate: a line through the best half gives offset and drift.
+trips are the most accurate: a line through the best half gives offset and drift. An exchange that
+no drift explains tells that one of the clocks was set, as by a device's restart.
 """
 
+import logging
 from collections import deque
 from dataclasses import dataclass
 
@@ -13,7 +15,13 @@ import numpy as np
 
 from hardware.errors import InputError
 
+_log = logging.getLogger(__name__)
+
+#: Drift of a clock that counts as one: 1 %, a hundred times that of a cheap oscillator.
+MOST_DRIFT = 0.01
 _KEPT = 64
+#: Exchanges in agreement that make a clock.
+_SURE = 8
 
 
 @dataclass(frozen=True)
@@ -40,15 +48,21 @@ class ClockModel:
 
 
 class ClockFilter:
-    """The latest exchanges, and the clock model fitted to them."""
+    """The latest exchanges with a device, and the clock model fitted to them.
 
-    def __init__(self) -> None:
+    ``name`` is that of the device in warnings.
+    """
+
+    def __init__(self, name: str = "device") -> None:
+        self._name, self._was_told = name, False
         self._exchanges: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)
 
     def add(self, sent_ns: int, received_ns: int, replied_ns: int, returned_ns: int) -> None:
         """Add one exchange: t0, t1, t2, t3.
 
-        Raises InputError for a reply that came before the request, on either clock.
+        Where it contradicts the one before, by more than `MOST_DRIFT` and half their round trips,
+        the earlier ones are of another clock and are dropped, with a warning. Raises InputError for
+        a reply that came before the request, on either clock.
         """
         trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
         if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
@@ -56,7 +70,26 @@ class ClockFilter:
                 f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
             )
         offset = (received_ns - sent_ns + replied_ns - returned_ns) // 2
-        self._exchanges.append((sent_ns + (returned_ns - sent_ns) // 2, offset, trip))
+        middle = sent_ns + (returned_ns - sent_ns) // 2
+        if self._exchanges:
+            last, before, trip_before = self._exchanges[-1]
+            possible = MOST_DRIFT * abs(middle - last) + (trip + trip_before) / 2 + 1
+            if abs(offset - before) > possible:
+                self._start_anew(offset - before, middle - last)
+        self._exchanges.append((middle, offset, trip))
+
+    def _start_anew(self, jumped_ns: int, within_ns: int) -> None:
+        # Told once of a clock that never runs at the host's rate, as that of a fast virtual device.
+        if not self._was_told or len(self._exchanges) >= _SURE:
+            _log.warning(
+                "%s: its clock jumped by %.6g s against the host's within %.6g s: one of them was "
+                "set, or they do not run at one rate; its times are on the host's clock as of now",
+                self._name,
+                jumped_ns * 1e-9,
+                within_ns * 1e-9,
+            )
+        self._was_told = True
+        self._exchanges.clear()
 
     @property
     def model(self) -> ClockModel | None:

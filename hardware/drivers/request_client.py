@@ -92,7 +92,7 @@ class RequestClient:
         self.over = over or threading.Event()
         self.url, self.patience, self.statistics = url, patience, Statistics()
         self.inbox: deque[Measurement | Status] = deque(maxlen=4096)
-        self.clock = ClockFilter()
+        self.clock = ClockFilter(url)
         self._baud = baud
         self._tags = itertools.cycle(range(1, 256))
         self._next_sync_s = 0.0

@@ -122,6 +122,8 @@ class RecordKind:
             reader.number("float64"),
             reader.number("float64"),
         )
+        if not math.isnan(clock.error_ns) and not -1 < clock.drift < math.inf:
+            raise InputError(f"clock_drift: {clock.drift:g}: expected a number above -1")
         values = {
             name: reader.text() if kind == "string" else reader.number(kind)
             for name, kind in self.scalars.items()

@@ -48,7 +48,7 @@ def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[
             answers: dict[str, dict[str, Any] | None] = {
                 "open": told,
                 "tune": {"carrier_hz": command.get("carrier_hz"), "time_ns": 5},
-                "time": {"time_ns": 7},
+                "time": {"time_ns": time.monotonic_ns()},
                 "close": {},
             }
             answer = burst(command) if command["do"] == "burst" else answers[command["do"]]

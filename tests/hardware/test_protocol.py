@@ -315,6 +315,35 @@ def test_clock_finds_offset_and_drift(drift: float) -> None:
     assert 20_000 <= model.error_ns < 60_000
 
 
+@pytest.mark.parametrize("jump_s", [-5.0, 0.1, 3600.0])
+def test_clock_that_was_set_is_told_and_found_anew(
+    jump_s: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A device starts again, or the host's clock is set: older exchanges say nothing any more."""
+    clock, host, jump = ClockFilter("camera"), 1_700_000_000_000_000_000, 0
+    for second in range(40):
+        jump = round(jump_s * 1e9) if second >= 30 else 0
+        received = second * 1_000_050_000 + jump + 20_000  # drift of 50e-6
+        sent = host + second * 1_000_000_000
+        clock.add(sent, received, received, sent + 40_000)
+    assert (model := clock.model) is not None
+    assert model.drift == pytest.approx(50e-6, abs=1e-7)
+    assert abs(model.host_ns(39 * 1_000_050_000 + jump) - (host + 39 * 1_000_000_000)) < 100
+    (warning,) = (record.message for record in caplog.records)
+    assert f"camera: its clock jumped by {jump_s + 50e-6:.6g} s" in warning
+
+
+def test_clock_that_does_not_count_gives_the_time_of_its_latest_exchange(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock, host = ClockFilter(), 1_700_000_000_000_000_000
+    for n in range(100):
+        clock.add(host + n * 10**9, 7, 7, host + n * 10**9 + 200_000)
+    assert (model := clock.model) is not None
+    assert model.host_ns(7) == host + 99 * 10**9 + 100_000
+    assert len(caplog.records) == 1
+
+
 def test_clock_refuses_time_that_runs_back() -> None:
     clock = ClockFilter()
     assert clock.model is None

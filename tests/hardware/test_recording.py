@@ -13,6 +13,7 @@ from mcap.reader import SeekingReader
 
 from hardware import PatternSet
 from hardware.drivers.clock import ClockModel
+from hardware.errors import InputError
 from hardware.recording import Log, read_messages, read_records
 from hardware.recording.kinds import KINDS
 from hardware.sources import SourceError, open_source, replay
@@ -33,6 +34,14 @@ def test_records_come_back_bit_for_bit(tmp_path: Path, record: Any) -> None:
         clock,
     )
     assert second.clock is None
+
+
+@pytest.mark.parametrize("drift", [-1.0, -3.0, np.inf, np.nan])
+def test_a_clock_that_cannot_run_is_no_clock_of_a_record(drift: float) -> None:
+    kind, record = KINDS[0], camera_record()
+    message = kind.pack(record, 0, "camera", ClockModel(0, 0, drift, 1.0))
+    with pytest.raises(InputError, match="clock_drift: .*: expected a number above -1"):
+        kind.unpack(message)
 
 
 def test_device_time_stands_on_the_hosts_clock(tmp_path: Path) -> None:

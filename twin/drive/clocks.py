@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from hardware.drivers.clock import ClockModel
+from hardware.drivers.clock import MOST_DRIFT, ClockModel
 from twin.errors import InputError
 
-#: Drift of a clock that counts as one: 1 %, a hundred times that of a cheap oscillator.
-_MOST_DRIFT_PPM = 1e4
+_MOST_DRIFT_PPM = 1e6 * MOST_DRIFT
 _MOST_OFFSET_S = 1e9
 
 
