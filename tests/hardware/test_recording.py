@@ -40,7 +40,7 @@ def test_records_come_back_bit_for_bit(tmp_path: Path, record: Any) -> None:
 def test_a_clock_that_cannot_run_is_no_clock_of_a_record(drift: float) -> None:
     kind, record = KINDS[0], camera_record()
     message = kind.pack(record, 0, "camera", ClockModel(0, 0, drift, 1.0))
-    with pytest.raises(InputError, match="clock_drift: .*: expected a number above -1"):
+    with pytest.raises(InputError, match=r"clock_drift: .*: expected a number above -1"):
         kind.unpack(message)
 
 
