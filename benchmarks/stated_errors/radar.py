@@ -106,7 +106,7 @@ def judged(case: RadarCase, *, search: bool = True) -> Iterator[Judged]:
     cheapest = _cheapest(case, truth, seconds) if search else None
     compared = _errors(case, propagation, truth, fidelity.radar_tolerance)
     rows = np.unique(np.linspace(0, len(compared) - 1, _BODIES).round().astype(int))
-    for number in rows if compared else ():
+    for number in rows.tolist() if compared else ():
         body, first = compared[number], number == 0
         others = f" and {len(body.objects) - 1} more" if body.objects[1:] else ""
         yield Judged(
