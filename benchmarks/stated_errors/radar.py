@@ -201,7 +201,7 @@ def _errors(
         _Compared(
             members[i],
             float(off[i]),
-            bodies.get(members[i], tolerance),
+            float(bodies.get(members[i], tolerance)),
             float(uncertain[i]),
             _ALL if is_whole[i] else float(part[i]),
         )
