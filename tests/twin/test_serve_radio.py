@@ -236,13 +236,14 @@ def test_a_stall_is_waited_for_and_a_dropped_connection_is_an_error(scene) -> No
         with ZeroMqRadio("127.0.0.1", port) as driver:
             record = acquire(driver, *_setup(scene, design))
         assert not record.flags.any()
-        with (
-            ZeroMqRadio("127.0.0.1", port, timeout_s=0.1) as driver,
-            pytest.raises(RadioError, match="burst: no answer within"),
-        ):
-            acquire(driver, *_setup(scene, design))
+    with (
+        served(virtual(scene, design), faults=replace(stalls, stall_s=4.0)) as port,
+        ZeroMqRadio("127.0.0.1", port, timeout_s=1.0) as driver,
+        pytest.raises(RadioError, match="burst: no answer within"),
+    ):
+        acquire(driver, *_setup(scene, design))
     with served(virtual(scene, design), faults=RadioFaults(drop=1.0)) as port:
-        driver = ZeroMqRadio("127.0.0.1", port, timeout_s=0.2)
+        driver = ZeroMqRadio("127.0.0.1", port, timeout_s=1.0)
         with pytest.raises(RadioError, match="burst: no answer within"):
             acquire(driver, *_setup(scene, design))
         with pytest.raises(RadioError, match="open the radio first"):

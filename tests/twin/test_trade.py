@@ -393,7 +393,7 @@ def touched(n_bytes: int) -> mmap.mmap:
 
 @pytest.mark.parametrize("forgets", [True, False], ids=["high-water mark", "sampled"])
 def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> None:
-    """64 MiB for 30 ms, after 512 MiB that are gone: 60 to 100 MiB."""
+    """64 MiB for 30 ms, after 512 MiB that are gone: 60 to 100 MiB; the first run counts not."""
     if not forgets:  # as in some containers: the file takes what is written and nothing follows
         monkeypatch.setattr(meter, "_CLEAR", tmp_path / "clear_refs")
     touched(2**29).close()
@@ -403,7 +403,7 @@ def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> No
     def work(run: int) -> int:
         called.append(run)
         with touched(2**26):
-            time.sleep(0.03 if run else 0.3)
+            time.sleep(0.03 if run else 3.0)
         return run
 
     cost, results = measure_cost(work, most=4)
@@ -411,7 +411,7 @@ def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> No
     assert called == [0, 1, 2, 3, 4]
     assert 60 < cost.peak_bytes / 2**20 < 100
     assert 0.03 < cost.low_s <= cost.seconds <= cost.high_s
-    assert cost.seconds < 0.25
+    assert cost.seconds < 2.0
 
 
 # What is written.
