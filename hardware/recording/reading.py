@@ -24,11 +24,10 @@ from hardware.recording.chunks import (
     records_of_broken_chunk,
     records_of_chunk,
 )
+from hardware.recording.heads import MAGIC, Heads
 from hardware.recording.kinds import BY_NAME, KINDS, Record
 
 _log = logging.getLogger(__name__)
-
-_MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True)
@@ -64,17 +63,20 @@ class Ending:
         In those, as far as the index behind each broken chunk contains their number.
     being_written
         Its writer still had it open when reading began, so that its end is none yet.
+    finished
+        It has its end, so that a fault is damage.
     """
 
     fault: str | None = None
     lost_bytes: int = 0
     lost_messages: int = 0
     being_written: bool = False
+    finished: bool = False
 
     @property
     def lost(self) -> str:
         """Amount of lost data, in words; empty where nothing is lost."""
-        if not self.lost_bytes:
+        if not self.lost_bytes and not self.lost_messages:
             return ""
         return f"lost: {self.lost_bytes} bytes, {self.lost_messages or 'unknown'} messages"
 
@@ -82,6 +84,8 @@ class Ending:
         """Fault of the log at a path, and the command that recovers it."""
         if self.lost:
             return f"damaged: {self.fault}; {self.lost}; `ugv recover {path}` keeps the rest"
+        if self.finished:
+            return f"damaged: {self.fault}; nothing is lost, `ugv recover {path}` writes it anew"
         if self.being_written:
             return "still being written: read as far as it was"
         return f"not finished: {self.fault}; `ugv recover {path}` finishes it"
@@ -97,7 +101,7 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
     """
     path, ending = Path(path), ending or Ending()
     with path.open("rb") as file:
-        if not _MAGIC.startswith(file.read(len(_MAGIC))):
+        if not MAGIC.startswith(file.read(len(MAGIC))):
             raise InputError(f"{path}: no MCAP file")
         ending.being_written = is_held(path)
         reader, n = _LogReader(file, path.stat().st_size, ending), 0
@@ -143,16 +147,20 @@ class _LogReader:
 
     def messages(self) -> Iterator[LoggedMessage]:
         """Every message that can be read."""
-        finished = False
+        n, counted, in_index = 0, 0, False
         n_before: int | None = (
             None  # messages of the broken chunk just passed; None: none is broken
         )
-        for kind, at, length in self._heads():
+        for head in Heads(self._file, self._size):
+            kind, at, length = head.kind, head.at, head.length
             whole = at + length <= self._size
+            if head.fault:
+                self._note(head.fault)
+                self._ending.lost_bytes += head.skipped
             if kind == Opcode.FOOTER and whole:
                 if not self._index_matches(at, length):
                     self._note("its index is damaged")
-                finished = True
+                self._ending.finished = True
                 break
             if not whole:
                 self._end = "it ends within a record"
@@ -168,12 +176,15 @@ class _LogReader:
             n_before = None
             if kind == Opcode.DATA_END and not self._crc_matches(at, length):
                 self._note("the CRC-32 of the data is another")
-            if kind not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+            if kind == Opcode.STATISTICS:
+                counted = int.from_bytes(self._body(at, 8), "little")
+            in_index |= kind == Opcode.DATA_END
+            if kind not in (Opcode.CHUNK, *_DEFINITIONS) and (kind != Opcode.MESSAGE or in_index):
                 continue
             n_here = 0
             try:
                 for message in self._in_record(kind, self._body(at, length)):
-                    n_here += 1
+                    n_here, n = n_here + 1, n + 1
                     yield message
             except Exception as error:
                 if not _is_data_error(error):
@@ -185,25 +196,16 @@ class _LogReader:
                 n_before = n_here
                 if kind == Opcode.CHUNK and not isinstance(error, RefusedError):
                     self._from_broken_chunks.take(records_of_broken_chunk(self._body(at, length)))
-        if not finished:
+        if (missing := counted - n - self._ending.lost_messages) > 0:
+            self._note(f"{missing} of the {counted} messages that it counts are missing")
+            self._ending.lost_messages += missing
+        if not self._ending.finished:
             before = f"{self._ending.fault}; " if self._ending.fault else ""
             self._ending.fault = before + self._end
 
     def _note(self, fault: str) -> None:
         """Store the first of several faults."""
         self._ending.fault = self._ending.fault or fault
-
-    def _heads(self, at: int = len(_MAGIC)) -> Iterator[tuple[int, int, int]]:
-        """Kind of each record, offset and stated length of its content."""
-        while at < self._size:
-            self._file.seek(at)
-            head = self._file.read(9)
-            if len(head) < 9:
-                self._end = "it ends within a record"
-                return
-            length = int.from_bytes(head[1:], "little")
-            yield head[0], at + 9, length
-            at += 9 + length
 
     def _body(self, at: int, length: int) -> bytes:
         if length > MOST_CHUNK_BYTES:
@@ -243,9 +245,9 @@ class _LogReader:
 
     def _search(self) -> None:
         """Read definitions from the summary, since the chunk that had them is broken."""
-        for kind, at, length in self._heads():
-            if kind in (Opcode.SCHEMA, Opcode.CHANNEL) and at + length <= self._size:
-                for _ in self._in_record(kind, self._body(at, length)):
+        for head in Heads(self._file, self._size):
+            if head.kind in _DEFINITIONS and head.at + head.length <= self._size:
+                for _ in self._in_record(head.kind, self._body(head.at, head.length)):
                     pass
 
     def _by_content(self, message: Message) -> tuple[str, Schema] | None:
@@ -296,6 +298,7 @@ class _LogReader:
 
 #: Where the index begins, where its second part does, and CRC-32 of both with these two numbers.
 _FOOTER = struct.Struct("<QQI")
+_DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 
 

@@ -170,6 +170,66 @@ def test_a_damaged_index_is_told_and_written_anew(tmp_path: Path) -> None:
         assert ending.fault is None
 
 
+@pytest.mark.parametrize("flip", [0x01, 0x40, 0x80])
+def test_a_damaged_head_of_any_record_takes_no_message_with_it(tmp_path: Path, flip: int) -> None:
+    """Kind and length of every record before the footer, a byte at a time: all messages come, and
+    the damage is told unless it changed nothing.
+    """
+    path = tmp_path / "run.mcap"
+    of_chunks(path)
+    data, at, heads = path.read_bytes(), 8, []
+    while at < len(data) - 8:
+        heads.append(at)
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    assert len(heads) > 12
+    whole = [message.message for message in read_messages(path)]
+    for place in (head + byte for head in heads[1:-1] for byte in range(9)):
+        spoiled = bytearray(data)
+        spoiled[place] ^= flip
+        path.write_bytes(spoiled)
+        ending = Ending()
+        found = [message.message for message in read_messages(path, ending)]
+        assert found == whole, place
+        done = recover(path, tmp_path / "whole.mcap")
+        assert done.kept == len(whole)
+
+
+def test_garbage_between_records_is_passed_and_the_original_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    chunks = of_chunks(path)
+    data = path.read_bytes()
+    garbage = np.random.default_rng(3).bytes(5000)
+    path.write_bytes(data[: chunks[2][0] - 9] + garbage + data[chunks[2][0] - 9 :])
+    ending = Ending()
+    assert len(list(read_records(path, ending))) == 4
+    assert (ending.lost_bytes, ending.finished) == (5000, True)
+    assert f"5000 bytes before offset {chunks[2][0] - 9 + 5000} are no record" in str(ending.fault)
+    done = recover(path)
+    assert done.original is not None
+    assert len(list(read_records(path))) == 4
+
+
+def test_a_chunk_that_is_gone_is_missed_by_the_logs_own_count(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    (_, _), (begin, end), *_ = of_chunks(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: begin - 9] + data[end:])
+    ending = Ending()
+    assert len(list(read_records(path, ending))) == 3
+    assert ending.fault == "its index is damaged"
+    assert "lost: 0 bytes, 2 messages" in ending.advice(path)
+    assert recover(path).original is not None
+
+
+def test_zeros_that_a_file_system_left_behind_are_no_loss(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    chunks = of_chunks(path)
+    path.write_bytes(path.read_bytes()[: chunks[2][0] - 9] + bytes(10_000))
+    ending = Ending()
+    assert len(list(read_records(path, ending))) == 2
+    assert (ending.lost, ending.fault) == ("", "it ends before its footer")
+
+
 def test_another_damaged_original_is_not_written_over(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     begin, end = of_chunks(path)[1]
