@@ -9,9 +9,12 @@ no drift explains tells that one of the clocks was set, as by a device's restart
 
 import logging
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.errors import InputError
 
@@ -22,14 +25,19 @@ MOST_DRIFT = 0.01
 _KEPT = 64
 #: Exchanges in agreement that make a clock.
 _SURE = 8
+#: Of times that are whole ns, and of half their sums.
+_ROUNDING_NS = 1.0
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ClockModel:
     """``device = host + offset + drift (host - reference)``, all ns of the host's clock.
 
-    ``error_ns`` bounds the offset: half the shortest round trip. ``drift`` is a pure number: 1e-6
-    is a device clock that gains a microsecond a second.
+    ``error_ns`` bounds the error of a time from the first exchange that counts on, if the clock
+    drifts evenly. After a jump of the clock it holds the jump, until some exchanges agree.
+    ``drift`` is a pure number: 1e-6 is a device clock that gains a microsecond a second.
     """
 
     reference_ns: int
@@ -47,67 +55,114 @@ class ClockModel:
         return host_ns + self.offset_ns + round(self.drift * (host_ns - self.reference_ns))
 
 
-class ClockFilter:
-    """The latest exchanges with a device, and the clock model fitted to them.
+class _Exchange(NamedTuple):
+    """Host time in its middle, offset, and round trip without the device's own time, ns."""
 
-    ``name`` is that of the device in warnings.
+    host_ns: int
+    offset_ns: int
+    trip_ns: int
+
+
+class ClockFilter:
+    """The latest exchanges with a device, and the clock model that they allow.
+
+    ``name`` is that of the device in warnings. ``ahead_s``: how long after the latest exchange the
+    stated error has to hold, since times are told before the next one.
     """
 
-    def __init__(self, name: str = "device") -> None:
-        self._name, self._was_told = name, False
-        self._exchanges: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)
+    def __init__(self, name: str = "device", *, ahead_s: float = 0.0) -> None:
+        self._name, self._ahead_ns = name, 1e9 * ahead_s
+        self._exchanges: deque[_Exchange] = deque(maxlen=_KEPT)
+        self._model: ClockModel | None = None
+        self._jumped_ns, self._was_told = 0, False
 
     def add(self, sent_ns: int, received_ns: int, replied_ns: int, returned_ns: int) -> None:
         """Add one exchange: t0, t1, t2, t3.
 
-        Where it contradicts the one before, by more than `MOST_DRIFT` and half their round trips,
-        the earlier ones are of another clock and are dropped, with a warning. Raises InputError for
-        a reply that came before the request, on either clock.
+        Earlier ones that no drift up to `MOST_DRIFT` explains together with it count no more; where
+        hardly any does, one of the clocks was set, which is warned of. Raises InputError for a
+        reply that came before the request, on either clock.
         """
         trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
         if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
             raise InputError(
                 f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
             )
-        offset = (received_ns - sent_ns + replied_ns - returned_ns) // 2
         middle = sent_ns + (returned_ns - sent_ns) // 2
-        if self._exchanges:
-            last, before, trip_before = self._exchanges[-1]
-            possible = MOST_DRIFT * abs(middle - last) + (trip + trip_before) / 2 + 1
-            if abs(offset - before) > possible:
-                self._start_anew(offset - before, middle - last)
-        self._exchanges.append((middle, offset, trip))
+        new = _Exchange(middle, (received_ns - sent_ns + replied_ns - returned_ns) // 2, trip)
+        n_before = len(self._exchanges)
+        self._exchanges.append(new)
+        found = _model_of(self._exchanges, self._ahead_ns)
+        if found is None:
+            while found is None:
+                self._exchanges.popleft()
+                found = _model_of(self._exchanges, self._ahead_ns)
+            if len(self._exchanges) <= 2:
+                found = self._after_jump(new, n_before)
+        if len(self._exchanges) >= _SURE:
+            self._jumped_ns = 0
+        self._model = replace(found, error_ns=found.error_ns + self._jumped_ns)
 
-    def _start_anew(self, jumped_ns: int, within_ns: int) -> None:
+    def _after_jump(self, new: _Exchange, n_before: int) -> ClockModel:
+        """The model of one exchange alone, after a warning."""
+        assert self._model is not None
+        expected_ns = self._model.device_ns(new.host_ns) - new.host_ns
+        jumped_ns = new.offset_ns - expected_ns
         # Told once of a clock that never runs at the host's rate, as that of a fast virtual device.
-        if not self._was_told or len(self._exchanges) >= _SURE:
+        if not self._was_told or n_before >= _SURE:
             _log.warning(
-                "%s: its clock jumped by %.6g s against the host's within %.6g s: one of them was "
-                "set, or they do not run at one rate; its times are on the host's clock as of now",
+                "%s: its clock jumped by %.6g s against the host's: one of them was set, or they "
+                "do not run at one rate; its times are on the host's clock as of now",
                 self._name,
                 jumped_ns * 1e-9,
-                within_ns * 1e-9,
             )
-        self._was_told = True
+        self._was_told, self._jumped_ns = True, abs(jumped_ns)
         self._exchanges.clear()
+        self._exchanges.append(new)
+        found = _model_of(self._exchanges, self._ahead_ns)
+        assert found is not None
+        return found
 
     @property
     def model(self) -> ClockModel | None:
-        """None before the first exchange.
+        """None before the first exchange."""
+        return self._model
 
-        The drift is 0 until the exchanges span 100 times their own error.
-        """
-        if not self._exchanges:
-            return None
-        times, offsets, trips = zip(*self._exchanges, strict=True)
-        reference, base = times[-1], offsets[-1]
-        trip = np.array(trips, np.float64)
-        good = trip <= np.median(trip)
-        t = np.array([float(time - reference) for time in times])[good]
-        y = np.array([float(offset - base) for offset in offsets])[good]
-        error = float(trip.min()) / 2
-        drift = 0.0
-        if len(t) > 2 and np.ptp(t) > 100 * max(error, 1.0):
-            drift = float(np.polyfit(t - t.mean(), y, 1)[0])
-        offset = base + round(float(np.mean(y - drift * t)))
-        return ClockModel(reference, offset, drift, error)
+
+def _model_of(exchanges: Sequence[_Exchange], ahead_ns: float) -> ClockModel | None:
+    """The middle of all lines through what the exchanges allow, None where there is none."""
+    latest = exchanges[-1]
+    t, offset, trip = (
+        np.array([float(part - origin) for part in parts])
+        for parts, origin in zip(
+            zip(*exchanges, strict=True), (latest.host_ns, latest.offset_ns, 0), strict=True
+        )
+    )
+    half = (1 + MOST_DRIFT) * trip / 2 + _ROUNDING_NS  # the clock drifts within the exchange too
+    low, high = offset - half, offset + half
+    begin, end = float((t - trip / 2).min()), float(t.max()) + ahead_ns
+    first, last = _range_at(t - begin, low, high), _range_at(end - t, low, high)
+    if first is None or last is None:
+        return None
+    drift = (sum(last) - sum(first)) / 2 / (end - begin) if end > begin else 0.0
+    at_latest = sum(last) / 2 - drift * end
+    error = max(last[1] - last[0], first[1] - first[0]) / 2
+    return ClockModel(latest.host_ns, latest.offset_ns + round(at_latest), drift, error)
+
+
+def _range_at(away: Array, low: Array, high: Array) -> tuple[float, float] | None:
+    """Least and largest offset, at a time ``away`` (n,) >= 0 from exchanges on one side of it, of a
+    clock that was within ``low`` and ``high`` (n,) at each and drifts evenly; None: there is none.
+
+    A line through v at that time has the slope (v - offset) / away at each exchange: the slopes
+    that two of them allow have to meet.
+    """
+    near, far = away[:, None], away[None, :]
+    apart = far - near
+    farther = apart > 0
+    span = np.where(farther, apart, 1.0)
+    largest = np.where(farther, (high[:, None] * far - low[None, :] * near) / span, np.inf)
+    least = np.where(farther, (low[:, None] * far - high[None, :] * near) / span, -np.inf)
+    most = min(float(largest.min()), float((high + MOST_DRIFT * away).min()))
+    lowest = max(float(least.max()), float((low - MOST_DRIFT * away).max()))
+    return (lowest, most) if lowest <= most else None

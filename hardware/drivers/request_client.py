@@ -34,8 +34,8 @@ from hardware.errors import DeviceError, InputError, LinkError, NoAnswerError
 _log = logging.getLogger(__name__)
 _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
 
-#: Interval between exchanges of time while measuring.
-_SYNC_PERIOD_S = 1.0
+#: Interval between exchanges of time while measuring; and until the next one has come, at most.
+_SYNC_PERIOD_S, _NEXT_SYNC_S = 0.25, 0.3
 #: Time that Configure may take a device beyond any other request (protocol, section 1).
 _CONFIGURE_S = 0.9
 #: Interval at which ``over`` is checked while waiting.
@@ -92,7 +92,7 @@ class RequestClient:
         self.over = over or threading.Event()
         self.url, self.patience, self.statistics = url, patience, Statistics()
         self.inbox: deque[Measurement | Status] = deque(maxlen=4096)
-        self.clock = ClockFilter(url)
+        self.clock = ClockFilter(url, ahead_s=_NEXT_SYNC_S)
         self._baud = baud
         self._tags = itertools.cycle(range(1, 256))
         self._next_sync_s = 0.0

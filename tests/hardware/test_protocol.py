@@ -15,7 +15,6 @@ import hardware
 from hardware import PatternSet
 from hardware.drivers import framing, messages
 from hardware.drivers.assembly import Assembly, ExposureSet
-from hardware.drivers.clock import ClockFilter
 from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, ProtocolFrame
 from hardware.drivers.messages import Configured, Measurement, from_frame, to_frame
 from hardware.drivers.preparation import _possible
@@ -282,71 +281,3 @@ def test_table_is_the_masks_bit_by_bit(mode: str) -> None:
     patterns = PatternSet(2, 2, 4, "natural", mode)  # type: ignore[arg-type]
     masks = patterns.masks().reshape(-1, 4)
     assert table_bytes(patterns) == bytes(int("".join(map(str, row)) + "0000", 2) for row in masks)
-
-
-# The clock.
-
-
-def exchanges(
-    clock: ClockFilter, n: int, drift: float, jitter_ns: float, rng: np.random.Generator
-) -> int:
-    """Host and device 5 s apart, ways of 20 us and more that are not alike; last host time."""
-    host = 1_700_000_000_000_000_000
-    for _ in range(n):
-        host += 1_000_000_000
-        there, back = 20_000 + rng.exponential(jitter_ns, 2)
-        device = 5_000_000_000 + (host - 1_700_000_000_000_000_000) * drift + host
-        received = round(device + there)
-        clock.add(host, received, received + 1000, round(host + there + back + 1000))
-    return host
-
-
-@pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
-def test_clock_finds_offset_and_drift(drift: float) -> None:
-    clock = ClockFilter()
-    last = exchanges(clock, 60, drift, 30_000, np.random.default_rng(1))
-    model = clock.model
-    assert model is not None
-    assert model.drift == pytest.approx(drift, abs=2e-6)
-    since = last - 1_700_000_000_000_000_000
-    true_device = last + 5_000_000_000 + round(since * drift)
-    assert abs(model.device_ns(last) - true_device) < 60_000
-    assert model.host_ns(model.device_ns(last)) == pytest.approx(last, abs=2)
-    assert 20_000 <= model.error_ns < 60_000
-
-
-@pytest.mark.parametrize("jump_s", [-5.0, 0.1, 3600.0])
-def test_clock_that_was_set_is_told_and_found_anew(
-    jump_s: float, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A device starts again, or the host's clock is set: older exchanges say nothing any more."""
-    clock, host, jump = ClockFilter("camera"), 1_700_000_000_000_000_000, 0
-    for second in range(40):
-        jump = round(jump_s * 1e9) if second >= 30 else 0
-        received = second * 1_000_050_000 + jump + 20_000  # drift of 50e-6
-        sent = host + second * 1_000_000_000
-        clock.add(sent, received, received, sent + 40_000)
-    assert (model := clock.model) is not None
-    assert model.drift == pytest.approx(50e-6, abs=1e-7)
-    assert abs(model.host_ns(39 * 1_000_050_000 + jump) - (host + 39 * 1_000_000_000)) < 100
-    (warning,) = (record.message for record in caplog.records)
-    assert f"camera: its clock jumped by {jump_s + 50e-6:.6g} s" in warning
-
-
-def test_clock_that_does_not_count_gives_the_time_of_its_latest_exchange(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    clock, host = ClockFilter(), 1_700_000_000_000_000_000
-    for n in range(100):
-        clock.add(host + n * 10**9, 7, 7, host + n * 10**9 + 200_000)
-    assert (model := clock.model) is not None
-    assert model.host_ns(7) == host + 99 * 10**9 + 100_000
-    assert len(caplog.records) == 1
-
-
-def test_clock_refuses_time_that_runs_back() -> None:
-    clock = ClockFilter()
-    assert clock.model is None
-    for times in ((10, 5, 4, 20), (10, 5, 6, 9), (0, 0, 100, 50)):
-        with pytest.raises(ValueError, match="run back"):
-            clock.add(*times)
