@@ -10,6 +10,10 @@ from hardware.drivers.messages import Configured, Measurement
 from hardware.records.container import Flag
 
 _LOST = int(Flag.LOST)
+#: A frame is as late after the one before as its number says; half of that is enough, less ns.
+_EARLY_NS = 1e6
+#: Device times, and times between two frames, are smaller.
+_MOST_TIME_NS, _LONGEST_GAP_NS = 2**62, 86_400 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,8 @@ class Assembly:
     ) -> None:
         self.run, self.configured = run, configured
         self.next_sequence = 0
-        self.refused = 0
+        #: Frames that came late or twice, of other runs or with faults; the latest of these faults.
+        self.refused, self.fault = 0, ""
         self._top = 2**adc_bits - 1
         self._on_loss = on_loss
         self._frames_per_set = -(-configured.exposures // configured.exposures_per_frame)
@@ -56,19 +61,30 @@ class Assembly:
             np.arange(configured.exposures) * configured.pattern_period_s * 1e9
         ).astype(np.int64)
         self._open: list[Measurement] = []
+        #: Of the latest frame: exposures of the run before it, and its device time.
+        self._last: tuple[int, int] | None = None
 
     def take(self, frame: Measurement) -> Iterator[ExposureSet]:
         """Sets that this frame completes or ends: at most two."""
-        if frame.run != self.run or frame.sequence < self.next_sequence or not self._fits(frame):
+        if frame.run != self.run or frame.sequence < self.next_sequence:
             self.refused += 1
+            return
+        if fault := self._fault(frame):
+            self.refused, self.fault = self.refused + 1, f"frame {frame.sequence}: {fault}"
             return
         if frame.sequence > self.next_sequence:
             self._on_loss(range(self.next_sequence, frame.sequence))
         self.next_sequence = frame.sequence + 1
+        self._last = (self._exposures_before(frame), frame.time_ns)
         if self._open and self._set_of(self._open[0]) != self._set_of(frame):
             yield self._close()
         self._open.append(frame)
         if self.next_sequence % self._frames_per_set == 0:
+            yield self._close()
+
+    def cut_off(self) -> Iterator[ExposureSet]:
+        """End of a run that the device has given up: the set that was being measured."""
+        if self._open:
             yield self._close()
 
     def finish(self, frames: int) -> Iterator[ExposureSet]:
@@ -83,17 +99,37 @@ class Assembly:
     def _set_of(self, frame: Measurement) -> int:
         return frame.sequence // self._frames_per_set
 
-    def _fits(self, frame: Measurement) -> bool:
-        """Whether the frame has the exposures expected from its sequence number."""
+    def _exposures_before(self, frame: Measurement) -> int:
+        return self._set_of(frame) * self.configured.exposures + frame.first
+
+    def _fault(self, frame: Measurement) -> str:
+        """What is wrong with a frame, by its number and by the frame before; empty if nothing."""
         configured = self.configured
         first = frame.sequence % self._frames_per_set * configured.exposures_per_frame
-        shape = (
-            min(configured.exposures_per_frame, configured.exposures - first),
-            configured.detectors,
-        )
+        n = min(configured.exposures_per_frame, configured.exposures - first)
+        shape = (n, configured.detectors)
         if frame.first != first or frame.counts.shape != shape:
-            return False
-        return bool(frame.counts.min() >= 0 and frame.counts.max() <= self._top)
+            return (
+                f"{frame.counts.shape} exposures and detectors from exposure {frame.first} on, "
+                f"expected {shape} from {first} on"
+            )
+        least, most = int(frame.counts.min()), int(frame.counts.max())
+        if least < 0 or most > self._top:
+            return f"counts from {least} to {most}, expected 0 to {self._top}"
+        if abs(frame.time_ns) > _MOST_TIME_NS:
+            return f"device time of {frame.time_ns} ns, expected at most {_MOST_TIME_NS:g}"
+        before, last_ns = self._last or (0, frame.time_ns)
+        takes_ns = (self._exposures_before(frame) - before) * configured.pattern_period_s * 1e9
+        passed_ns = frame.time_ns - last_ns
+        least_ns = takes_ns / 2 - _EARLY_NS if self._last else 0.0
+        if not least_ns <= passed_ns <= max(2 * takes_ns, _LONGEST_GAP_NS):
+            return (
+                f"begins {passed_ns * 1e-9:.6g} s after the one before, which by its number takes "
+                f"{takes_ns * 1e-9:.6g} s"
+            )
+        if takes_ns > _LONGEST_GAP_NS + 2 * passed_ns:
+            return f"is {takes_ns * 1e-9:.6g} s into its run by its number"
+        return ""
 
     def _close(self) -> ExposureSet:
         n, number = self.configured.exposures, self._set_of(self._open[0])

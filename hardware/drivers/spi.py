@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 from hardware.drivers.assembly import Assembly, ExposureSet
@@ -33,6 +33,8 @@ class _Run:
     #: the same, by the host's monotonic clock.
     frames_at_silence: int | None = None
     silent_since_s: float = 0.0
+    #: When the latest frame came that was not refused, by the same clock.
+    heard_s: float = field(default_factory=time.monotonic)
 
 
 class SpiCamera:
@@ -150,18 +152,28 @@ class SpiCamera:
             if message is None and self._device.over.is_set():
                 return []
             if isinstance(message, Measurement):
-                self.statistics.frames += 1
-                self._starts_in_vain = 0
-                run.frames_at_silence = None
-                before = run.assembly.refused
-                sets = list(run.assembly.take(message))
-                self.statistics.refused += run.assembly.refused - before
-                return sets
+                return self._take(message)
             return self._handle_status(message or self.status())
         except LinkError as error:
             _log.warning("%s: %s; opening it again", self.url, error)
             self._device.reconnect()
             return self._handle_status(self.status())
+
+    def _take(self, frame: Measurement) -> list[ExposureSet]:
+        """Sets completed by a frame; the first fault of a run is warned of."""
+        run = self._run
+        assert run is not None
+        self.statistics.frames += 1
+        assembly, before, fault = run.assembly, run.assembly.refused, run.assembly.fault
+        sets = list(assembly.take(frame))
+        if assembly.refused > before:
+            self.statistics.refused += assembly.refused - before
+            if assembly.fault and not fault:
+                _log.warning("%s: refused, as are others like it: %s", self.url, assembly.fault)
+            return sets
+        self._starts_in_vain = 0
+        run.frames_at_silence, run.heard_s = None, time.monotonic()
+        return sets
 
     def _silence_s(self, configured: Configured) -> float:
         """Timeout of silence: the time of three frames and of a reply."""
@@ -175,14 +187,9 @@ class SpiCamera:
         run = self._run
         assert run is not None
         if status.run == run.number and status.state == State.RUNNING:
-            now_s = time.monotonic()
-            if status.frames != run.frames_at_silence or self._device.measured:
-                run.frames_at_silence, run.silent_since_s = status.frames, now_s
+            if not (fault := self._fault_of_silence(run, status)):
                 return []
-            # A device that answers may be late: what it has measured is lost with a new start.
-            if now_s - run.silent_since_s < self._device.patience.reconnect_s:
-                return []
-            _log.warning("%s: the device measures nothing; starting anew", self.url)
+            _log.warning("%s: %s; starting anew", self.url, fault)
         elif status.run == run.number and not status.booted:
             if self._device.measured:  # what it sent before it ended
                 self._device.inbox.append(status)
@@ -197,17 +204,41 @@ class SpiCamera:
             raise DeviceError(
                 f"{self.url}: measures nothing, though it was started anew "
                 f"{self._device.patience.attempts} times"
+                + (f"; {run.assembly.fault}" if run.assembly.fault else "")
             )
-        sets = list(run.assembly.finish(run.assembly.next_sequence))
+        sets = list(run.assembly.cut_off())
         left = self._sets and max(self._sets - self._sets_done(run), 1)
         self._restart(left)
         return sets
 
+    def _fault_of_silence(self, run: _Run, status: Status) -> str:
+        """Of a device that is running: why it has to be started anew; empty where it may be late,
+        since what it has measured is lost then.
+        """
+        now_s, patience_s = time.monotonic(), self._device.patience.reconnect_s
+        if self._device.measured:
+            return ""
+        deaf_s = max(patience_s, 3 * self._silence_s(run.configured))
+        if status.frames > run.assembly.next_sequence and now_s - run.heard_s > deaf_s:
+            return (
+                f"the device has measured {status.frames} frames, and none has come whole for "
+                f"{deaf_s:.3g} s"
+            )
+        if status.frames != run.frames_at_silence:
+            run.frames_at_silence, run.silent_since_s = status.frames, now_s
+            return ""
+        is_silent = now_s - run.silent_since_s >= patience_s
+        return "the device measures nothing" if is_silent else ""
+
     def _restart(self, sets: int) -> None:
-        """Start, with further attempts where the device fails again."""
+        """Start, with further attempts where the device fails again; it may be another one."""
         deadline = time.monotonic() + self._device.patience.reconnect_s
         while True:
             try:
+                identity = identify(self._device)
+                if identity != self.identity:
+                    _log.warning("%s: is now %s, was %s", self.url, identity, self.identity)
+                self.identity = identity
                 return self._start(sets)
             except (LinkError, DeviceError):
                 if time.monotonic() > deadline or self._device.over.is_set():

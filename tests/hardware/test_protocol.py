@@ -267,13 +267,34 @@ def test_frames_of_other_runs_and_impossible_ones_are_left_out() -> None:
         assert (assembly.refused, assembly.next_sequence) == (1, 0)
 
 
-def test_a_jump_of_the_sequence_number_costs_no_memory() -> None:
+@pytest.mark.parametrize(
+    ("later", "field", "ahead", "fault"),
+    [
+        (1, "sequence", 7 * 10**17, "after the one before, which by its number takes"),
+        (1, "sequence", 7 * 1200, "after the one before, which by its number takes"),
+        (0, "sequence", 7 * 10**17, "into its run by its number"),
+        (1, "time_ns", -(10**10), "begins -9"),
+        (1, "time_ns", 2**61, "begins 2.3"),
+        (0, "time_ns", 2**62 + 1, "expected at most 4.6"),
+        (0, "time_ns", -(2**63), "expected at most 4.6"),
+    ],
+)
+def test_a_frame_that_its_time_or_number_contradicts_is_refused(
+    later: int, field: str, ahead: int, fault: str
+) -> None:
+    """One such frame would have all further ones taken for late, or its set's times for others."""
     lost: list[range] = []
     assembly = Assembly(9, _MADE, 16, lost.append)
-    far = 7 * 10**17
-    frame = sent_frames(1, np.random.default_rng(0))[0]
-    assert not list(assembly.take(Measurement(**{**frame.__dict__, "sequence": far})))
-    assert lost == [range(far)]
+    *frames, third = sent_frames(3, np.random.default_rng(0))
+    wrong = getattr(frames[later], field) + ahead
+    frames[later] = replace(frames[later], **{field: wrong})  # type: ignore[arg-type]
+    for frame in frames[: later + 1]:
+        assert not list(assembly.take(frame))
+    assert (assembly.refused, lost) == (1, [])
+    assert fault in assembly.fault
+    assert not list(assembly.take(third))
+    assert assembly.next_sequence == 3
+    assert lost == [range(later, 2)]
 
 
 @pytest.mark.parametrize("mode", messages.MODE_CODES)

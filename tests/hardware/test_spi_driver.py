@@ -187,7 +187,9 @@ def test_the_image_comes_out(firmware: Any) -> None:
 
 
 def test_a_reset_device_is_set_up_and_started_again(firmware: Any) -> None:
-    """Sets before the reset and after it are whole; the first after it says that there was one."""
+    """Sets before the reset and after it are whole; the first after it says that there was one.
+    The one that was being measured is there as far as it had come.
+    """
     with (
         firmware.running("--fast", "--reset-after", "33") as path,
         SpiCamera(path, SETTINGS, patience=QUICK) as camera,
@@ -195,10 +197,16 @@ def test_a_reset_device_is_set_up_and_started_again(firmware: Any) -> None:
         records = list(camera.records(sets=40))
         assert camera.statistics.restarts == 1
     resets = [number for number, r in enumerate(records) if (r.flags & Flag.RESET).any()]
-    assert resets == [0, 16]
-    assert len(records) == 40
+    assert resets == [0, 17]
+    assert len(records) == 41
+    cut_off = records.pop(16)
+    is_there = cut_off.flags & Flag.LOST == 0
+    assert 0 < np.count_nonzero(is_there) < len(is_there)
+    assert is_there.tolist() == sorted(is_there.tolist(), reverse=True)
+    counts = firmware.counts(PATTERNS)
+    np.testing.assert_array_equal(cut_off.counts, np.where(is_there[:, None], counts, 0))
     for record in records:
-        np.testing.assert_array_equal(record.counts, firmware.counts(PATTERNS))
+        np.testing.assert_array_equal(record.counts, counts)
 
 
 @pytest.mark.parametrize(
