@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.drivers.clock import MOST_TIME_NS
 from hardware.drivers.messages import Configured, Measurement
 from hardware.records.container import Flag
 
 _LOST = int(Flag.LOST)
 #: A frame is as late after the one before as its number says; half of that is enough, less ns.
 _EARLY_NS = 1e6
-#: Device times, and times between two frames, are smaller.
-_MOST_TIME_NS, _LONGEST_GAP_NS = 2**62, 86_400 * 10**9
+#: Times between two frames are smaller.
+_LONGEST_GAP_NS = 86_400 * 10**9
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +117,8 @@ class Assembly:
         least, most = int(frame.counts.min()), int(frame.counts.max())
         if least < 0 or most > self._top:
             return f"counts from {least} to {most}, expected 0 to {self._top}"
-        if abs(frame.time_ns) > _MOST_TIME_NS:
-            return f"device time of {frame.time_ns} ns, expected at most {_MOST_TIME_NS:g}"
+        if abs(frame.time_ns) > MOST_TIME_NS:
+            return f"device time of {frame.time_ns} ns, expected at most {MOST_TIME_NS:g}"
         before, last_ns = self._last or (0, frame.time_ns)
         takes_ns = (self._exposures_before(frame) - before) * configured.pattern_period_s * 1e9
         passed_ns = frame.time_ns - last_ns

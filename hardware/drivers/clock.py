@@ -22,6 +22,8 @@ _log = logging.getLogger(__name__)
 
 #: Drift of a clock that counts as one: 1 %, a hundred times that of a cheap oscillator.
 MOST_DRIFT = 0.01
+#: Device times are smaller: they and their offsets are written as 64 bits.
+MOST_TIME_NS = 2**62
 _KEPT = 64
 #: Exchanges in agreement that make a clock.
 _SURE = 8
@@ -81,12 +83,16 @@ class ClockFilter:
 
         Earlier ones that no drift up to `MOST_DRIFT` explains together with it count no more; where
         hardly any does, one of the clocks was set, which is warned of. Raises InputError for a
-        reply that came before the request, on either clock.
+        reply that came before the request, on either clock, or a device time beyond 146 years.
         """
         trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
         if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
             raise InputError(
                 f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
+            )
+        if abs(received_ns) > MOST_TIME_NS:
+            raise InputError(
+                f"time exchange: device time {received_ns} ns, expected at most {MOST_TIME_NS:g}"
             )
         middle = sent_ns + (returned_ns - sent_ns) // 2
         new = _Exchange(middle, (received_ns - sent_ns + replied_ns - returned_ns) // 2, trip)

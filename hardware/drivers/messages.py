@@ -207,6 +207,11 @@ class Identity:
     max_integration_time_s: float
     device: str
 
+    @property
+    def in_words(self) -> str:
+        """Name, converter and detectors."""
+        return f"{self.device!r} of {self.adc_bits} bits and {self.detectors} detectors"
+
     def pack(self) -> bytes:
         """Payload."""
         *head, device = astuple(self)

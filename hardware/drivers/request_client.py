@@ -36,6 +36,8 @@ _Expected = TypeVar("_Expected", Identity, Configured, Status, TimeReply)
 
 #: Interval between exchanges of time while measuring; and until the next one has come, at most.
 _SYNC_PERIOD_S, _NEXT_SYNC_S = 0.25, 0.3
+#: Host times that were sent, of which answers may still come.
+_TIMES_KEPT = 64
 #: Time that Configure may take a device beyond any other request (protocol, section 1).
 _CONFIGURE_S = 0.9
 #: Interval at which ``over`` is checked while waiting.
@@ -96,6 +98,7 @@ class RequestClient:
         self._baud = baud
         self._tags = itertools.cycle(range(1, 256))
         self._next_sync_s = 0.0
+        self._asked_ns: deque[int] = deque(maxlen=_TIMES_KEPT)
         self._link, self._deframer = self._open(), Deframer()
 
     @property
@@ -138,14 +141,14 @@ class RequestClient:
     def synchronize(self, exchanges: int) -> None:
         """Make several exchanges of time."""
         for _ in range(exchanges):
-            self.ask(Time(time.time_ns()), TimeReply)
+            self.ask(self._time(), TimeReply)
         self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
 
     def next(self, silence_s: float) -> Measurement | Status | None:
         """Next message of a run; None after a silence, or when it is over."""
         if time.monotonic() > self._next_sync_s:
             self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
-            self._link.write(encode(to_frame(Time(time.time_ns()), 0)))
+            self._link.write(encode(to_frame(self._time(), 0)))
         deadline = time.monotonic() + silence_s
         while not self.inbox and (left := deadline - time.monotonic()) > 0:
             if self.over.is_set():
@@ -189,12 +192,23 @@ class RequestClient:
             try:
                 message = from_frame(frame)
                 if isinstance(message, TimeReply):
-                    self.clock.add(message.host_ns, message.received_ns, message.sent_ns, now_ns)
+                    self._exchanged(message, now_ns)
             except InputError as error:
                 self.statistics.rejected += 1
                 _log.warning("%s: %s", self.url, error)
             else:
                 yield frame.tag, message
+
+    def _time(self) -> Time:
+        """A request of the device's time."""
+        self._asked_ns.append(time.time_ns())
+        return Time(self._asked_ns[-1])
+
+    def _exchanged(self, reply: TimeReply, now_ns: int) -> None:
+        """Add a reply to the clock. Raises InputError for one to no request."""
+        if reply.host_ns not in self._asked_ns:
+            raise InputError(f"time exchange: {reply.host_ns} ns: the host sent another time")
+        self.clock.add(reply.host_ns, reply.received_ns, reply.sent_ns, now_ns)
 
     def _open(self) -> Link:
         deadline = time.monotonic() + self.patience.reconnect_s

@@ -35,6 +35,8 @@ class _Run:
     silent_since_s: float = 0.0
     #: When the latest frame came that was not refused, by the same clock.
     heard_s: float = field(default_factory=time.monotonic)
+    #: Whether the device has given it up, or measures nothing: it is to be started anew.
+    is_over: bool = False
 
 
 class SpiCamera:
@@ -148,6 +150,9 @@ class SpiCamera:
         run = self._run
         assert run is not None
         try:
+            if run.is_over:
+                self._restart(self._sets and max(self._sets - self._sets_done(run), 1))
+                return []
             message = self._device.next(self._silence_s(run.configured))
             if message is None and self._device.over.is_set():
                 return []
@@ -206,10 +211,8 @@ class SpiCamera:
                 f"{self._device.patience.attempts} times"
                 + (f"; {run.assembly.fault}" if run.assembly.fault else "")
             )
-        sets = list(run.assembly.cut_off())
-        left = self._sets and max(self._sets - self._sets_done(run), 1)
-        self._restart(left)
-        return sets
+        run.is_over = True  # what it measured goes out first, while its clock is that of the run
+        return list(run.assembly.cut_off())
 
     def _fault_of_silence(self, run: _Run, status: Status) -> str:
         """Of a device that is running: why it has to be started anew; empty where it may be late,
@@ -237,7 +240,12 @@ class SpiCamera:
             try:
                 identity = identify(self._device)
                 if identity != self.identity:
-                    _log.warning("%s: is now %s, was %s", self.url, identity, self.identity)
+                    _log.warning(
+                        "%s: is another device now, %s; it was %s",
+                        self.url,
+                        identity.in_words,
+                        self.identity.in_words,
+                    )
                 self.identity = identity
                 return self._start(sets)
             except (LinkError, DeviceError):
