@@ -23,6 +23,10 @@ from hardware.errors import InputError
 if TYPE_CHECKING:
     from hardware.recording import Received
 
+#: Share of a topic's slots or exposures.
+_WORTH_A_WARNING = 0.01
+_FAULTS = {"LOST": "lost", "OVERRUN": "overrun", "SATURATED": "saturated"}
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to an application."""
@@ -59,10 +63,13 @@ def capture(
     from hardware.recording import Log
     from hardware.recording.reading import Ending
 
+    if not duration > 0:
+        raise InputError(f"--duration: {duration:g} s, expected more than 0 s")
     loaded, setup = settings_of(settings), setup_of(radar_setup)
     extrinsics = read_toml(rig) if rig else {}
     extrinsics.pop("field_deg", None)  # of cameras, for `ugv process --motion radar`
-    n, missed, begun = Counter[str](), Counter[str](), time.monotonic()
+    n, begun = Counter[str](), time.monotonic()
+    flags: dict[str, Counter[str]] = {}
     endings: dict[str, Ending] = {}
     limits: dict[str, Any] = {"duration_s": duration, "records": records, "endings": endings}
     with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
@@ -70,7 +77,7 @@ def capture(
         try:
             for received in incoming:
                 n[received.topic] += 1
-                missed[received.topic] += _is_overrun(received)
+                flags.setdefault(received.topic, Counter()).update(_flag_counts(received))
                 say.step(f"{received.topic}: record {n[received.topic]}")
         finally:
             if over.is_set():
@@ -79,20 +86,37 @@ def capture(
             say.verdict(f"{out}: {n.total()} records in {took_s:.1f} s")
             say.add(log=out, records=dict(n), seconds=took_s, stopped=over.is_set())
         if not n:
-            raise InputError(f"{', '.join(urls)}: no record came")
-    for topic in n:
-        if missed[topic] == n[topic]:
+            within = f" within {duration:g} s" if duration < math.inf else ""
+            raise InputError(f"{', '.join(urls)}: no record came{within}")
+    for topic, counted in flags.items():
+        if counted["slots"] and counted["OVERRUN"] == counted["slots"]:
             raise InputError(
                 f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
                 "heard: the bursts reach the radio after their time. Give the setup more time "
                 "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
             )
+        for fault in _faults(counted):
+            say.warn(f"{topic}: {fault}")
     warn_of_damage(say, {log_of(url): ending for url, ending in endings.items()})
 
 
-def _is_overrun(received: "Received") -> bool:
-    """Whether all slots of a radar's record are lost."""
+def _flag_counts(received: "Received") -> Counter[str]:
+    """Of a record: its slots or exposures, and those with each flag."""
+    import numpy as np
+
     from hardware.records import Flag, RadarRecord
 
     record = received.record
-    return isinstance(record, RadarRecord) and bool((record.flags & Flag.OVERRUN).all())
+    what = "slots" if isinstance(record, RadarRecord) else "exposures"
+    flagged = {str(f.name): int(np.count_nonzero(record.flags & np.uint8(f))) for f in Flag}
+    return Counter({what: record.flags.size, **flagged})
+
+
+def _faults(counted: Counter[str]) -> list[str]:
+    """What is wrong with a share of the slots or exposures that is worth a warning."""
+    what = "slots" if counted["slots"] else "exposures"
+    return [
+        f"{100 * counted[flag] / counted[what]:.3g} % of its {counted[what]} {what} are {words}"
+        for flag, words in _FAULTS.items()
+        if counted[flag] > _WORTH_A_WARNING * counted[what]
+    ]

@@ -77,10 +77,10 @@ class Output:
         if not self.quiet:
             print(text, file=self.stream, flush=True)
 
-    def warn(self, text: object) -> None:
-        """A warning, on stderr and in the document."""
+    def warn(self, text: object, *, is_loss: bool = False) -> None:
+        """A warning, on stderr and in the document; of lost data by a quiet command too."""
         self._warnings.append(str(text))
-        if not self.quiet:
+        if not self.quiet or is_loss:
             print(f"warning: {text}", file=sys.stderr)
 
     def written(self, path: str | Path, remark: str = "", *, name: str = "written") -> None:

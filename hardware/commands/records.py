@@ -79,6 +79,6 @@ def warn_of_damage(say: Output, endings: "Mapping[str | Path, Ending]") -> None:
     """Warn of incomplete logs; where data are lost, exit with `DATA_LOST`."""
     for path, ending in endings.items():
         if ending.fault:
-            say.warn(f"{path}: {ending.advice(path)}")
+            say.warn(f"{path}: {ending.advice(path)}", is_loss=bool(ending.lost))
     if any(ending.lost for ending in endings.values()):
         raise typer.Exit(DATA_LOST)

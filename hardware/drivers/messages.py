@@ -221,7 +221,7 @@ class Identity:
     def unpack(cls, payload: bytes) -> Self:
         """Message in a payload. Raises InputError where it does not fit."""
         head, name = _split(cls, payload, cls.LAYOUT)
-        return cls(*(*head, _text(cls, name)))
+        return cls(*(*head, _text(name)))
 
 
 @dataclass(frozen=True)
@@ -354,7 +354,7 @@ class Refused:
     def unpack(cls, payload: bytes) -> Self:
         """Message in a payload. Raises InputError where it does not fit."""
         (code,), text = _split(cls, payload, struct.Struct("<B"))
-        return cls(code, _text(cls, text))
+        return cls(code, _text(text))
 
 
 Request: TypeAlias = Identify | Configure | Upload | Arm | Start | Stop | Query | Time
@@ -385,11 +385,10 @@ def _split(kind: type, payload: bytes, layout: struct.Struct) -> tuple[tuple[Any
     return layout.unpack_from(payload), payload[layout.size :]
 
 
-def _text(kind: type, data: bytes) -> str:
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{kind.__name__}: {error}") from error
+def _text(data: bytes) -> str:
+    """Text of a device, as one may print it."""
+    text = data.decode(errors="replace")
+    return "".join(one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text)
 
 
 def _expect(kind: type, payload: bytes, size: int) -> None:

@@ -21,8 +21,8 @@ from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
 from hardware.errors import DeviceError
 
-#: Times (s) and counts from here on are invalid in a device's reply.
-_MOST = 1e9
+#: Times (s) and counts are invalid in a device's reply below these and above.
+_LEAST, _MOST = 1e-300, 1e9
 
 
 def identify(device: RequestClient) -> Identity:
@@ -54,10 +54,9 @@ def prepare(device: RequestClient, identity: Identity, settings: SpiSettings) ->
     table = table_bytes(patterns)
     crc = zlib.crc32(table)
     configured = device.ask(request, Configured)
-    if not _possible(
-        configured, identity, patterns.n_exposures * len(settings.shutters), len(table)
-    ):
-        raise DeviceError(f"{device.url}: the device cannot mean {configured}")
+    exposures = patterns.n_exposures * len(settings.shutters)
+    if fault := _fault(configured, identity, exposures, len(table)):
+        raise DeviceError(f"{device.url}: the device cannot mean {fault}")
     if request.order == UPLOADED:
         _upload(device, table, crc)
     elif configured.table_crc != crc:
@@ -93,22 +92,25 @@ def _request(device: RequestClient, identity: Identity, settings: SpiSettings) -
     )
 
 
-def _possible(configured: Configured, identity: Identity, exposures: int, size: int) -> bool:
-    positive = (
-        configured.integration_time_s,
-        configured.pattern_period_s,
-        configured.electrons_per_count,
-    )
-    return bool(
-        configured.exposures == exposures
-        and configured.table_bytes == size
-        and 1 <= configured.exposures_per_frame <= Measurement.most_exposures(identity.detectors)
-        and configured.detectors == identity.detectors
-        and all(0 < value < _MOST for value in positive)
-        and configured.exposures * configured.pattern_period_s
-        < _MOST  # device times are whole ns in 64 bits
-        and abs(configured.offset_counts) < _MOST
-    )
+def _fault(configured: Configured, identity: Identity, exposures: int, size: int) -> str:
+    """What a configuration cannot be; empty where it may be."""
+    most = Measurement.most_exposures(identity.detectors)
+    for name, expected in (
+        ("exposures", (exposures, exposures)),
+        ("table_bytes", (size, size)),
+        ("exposures_per_frame", (1, most)),
+        ("detectors", (identity.detectors, identity.detectors)),
+        # Device times are whole ns in 64 bits.
+        ("pattern_period_s", (_LEAST, _MOST / max(configured.exposures, 1))),
+        ("integration_time_s", (_LEAST, configured.pattern_period_s)),
+        ("electrons_per_count", (_LEAST, _MOST)),
+        ("offset_counts", (-_MOST, _MOST)),
+    ):
+        least, largest = expected
+        if not least <= (value := getattr(configured, name)) <= largest:
+            span = f"{least:g}" if least == largest else f"{least:g} to {largest:g}"
+            return f"{name} = {value:g}, expected {span}"
+    return ""
 
 
 def _upload(device: RequestClient, table: bytes, crc: int) -> None:

@@ -12,19 +12,28 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 _CERTAIN = 6.0  # standard errors above which an image is significant
+_DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
 
 
 def without_images(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
     """Samples (n_slots, n_receivers, n_subcarriers) of every carrier step without their images.
 
-    Receivers without a significant image are not changed.
+    Receivers without a significant image are not changed. Raises InputError for a receiver whose I
+    and Q depend on each other.
     """
     ratios = image_ratios(steps, waveform)
+    if (worst := float(np.abs(ratios).max())) > _DEPENDENT:
+        raise InputError(
+            f"receiver {int(np.abs(ratios).argmax())}: the image is {worst:.3g} times the signal, "
+            "expected far less: I and Q depend on each other, as where a branch is dead or the "
+            "samples are constant"
+        )
     if not ratios.any():
         return list(steps)
     b = ratios.astype(steps[0].dtype)[:, None]

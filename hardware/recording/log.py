@@ -65,6 +65,7 @@ class Log:
         if about is not None:
             self._writer.add_metadata("about", dict(about))
         self._flush_s, self._flushed_s = flush_s, time.monotonic()
+        self._flushed_bytes = 0
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
@@ -149,7 +150,10 @@ class Log:
     def flush(self) -> None:
         """Close the chunk and write it to the file."""
         with naming(self.path):
+            self._expect_whole()
             self._writer.flush()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            self._flushed_bytes = self._file.tell()
             if os.fstat(self._file.fileno()).st_nlink == 0:
                 raise InputError(
                     f"{self.path}: was removed or replaced while it was written; its messages are "
@@ -163,12 +167,17 @@ class Log:
             return
         with naming(self.path):
             try:
+                self._expect_whole()
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 written = os.fstat(self._file.fileno())
             finally:
                 self._file.close()
         if not (self.path.exists() and os.path.samestat(written, self.path.stat())):
             raise InputError(f"{self.path}: was moved, removed or replaced while it was written")
+
+    def _expect_whole(self) -> None:
+        if os.fstat(self._file.fileno()).st_size < self._flushed_bytes:
+            raise InputError(f"{self.path}: was cut short while it was written")
 
     def _schema(self, definition: Definition) -> int:
         if definition.name not in self._schemas:

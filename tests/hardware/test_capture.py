@@ -1,6 +1,7 @@
 """`ugv capture` with sources that are silent, fail or come too late, and however it is ended."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -33,7 +34,9 @@ PATIENCE_S, SOON_S = 60.0, 20.0
 
 @contextmanager
 def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[str]:
-    """URL of a radio by RADIO.md that answers bursts as told, without samples; None: not at all."""
+    """URL of a radio by RADIO.md that answers bursts as told, with the samples that it was sent
+    where it is not late; None: not at all.
+    """
     context, running = zmq.Context(), True
     socket = context.socket(zmq.ROUTER)
     port = socket.bind_to_random_port("tcp://127.0.0.1")
@@ -43,7 +46,7 @@ def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[
         while running:
             if not socket.poll(20):
                 continue
-            sender, _, text, *_ = socket.recv_multipart()
+            sender, _, text, *samples = socket.recv_multipart()
             command = json.loads(text)
             answers: dict[str, dict[str, Any] | None] = {
                 "open": told,
@@ -54,7 +57,8 @@ def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[
             answer = burst(command) if command["do"] == "burst" else answers[command["do"]]
             if answer is not None:
                 answer = {"number": command["number"], **answer}
-                socket.send_multipart([sender, b"", json.dumps(answer).encode()])
+                heard = samples if answer.get("faults") == [] else []
+                socket.send_multipart([sender, b"", json.dumps(answer).encode(), *heard])
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -72,6 +76,10 @@ def silent(command: dict[str, Any]) -> None:
 
 def late(command: dict[str, Any]) -> dict[str, Any]:
     return {"start_ns": command["start_ns"], "faults": ["late"], "gaps": []}
+
+
+def on_time(command: dict[str, Any]) -> dict[str, Any]:
+    return late(command) | {"faults": []}
 
 
 def refused(command: dict[str, Any]) -> dict[str, Any]:
@@ -238,3 +246,39 @@ def test_processing_a_log_that_was_cut_says_how_to_finish_it(
     assert process.returncode == 0
     assert len(re.findall(r"/spi/record, \d+\.\d{3} s: image", out)) == 3
     assert err.count(f"`ugv recover {run}` finishes it") == 1
+
+
+def test_slots_that_were_lost_are_warned_of(files: list[str | Path], tmp_path: Path) -> None:
+    """All bursts but the first are late: no error, but no silence either."""
+    bursts = iter(range(1000))
+
+    def later(command: dict[str, Any]) -> dict[str, Any]:
+        return late(command) if next(bursts) else on_time(command)
+
+    with radio(later) as url:
+        process = started("capture", url, "-o", tmp_path / "run.mcap", "--records", "3", *files)
+        _, err = ended(process)
+    assert process.returncode == 0, err
+    assert re.search(r"warning: /radar/record: 66\.7 % of its 48 slots are overrun", err)
+
+
+def test_a_duration_of_nothing_is_refused(files: list[str | Path], tmp_path: Path) -> None:
+    process = started(
+        "capture", "zmq://x:1", "-o", tmp_path / "run.mcap", "--duration", "0", *files
+    )
+    _, err = ended(process)
+    assert process.returncode == 2
+    assert "--duration: 0 s, expected more than 0 s" in err
+
+
+def test_a_log_that_is_cut_short_while_it_is_written_is_an_error(
+    firmware: Any, files: list[str | Path], tmp_path: Path
+) -> None:
+    run = tmp_path / "run.mcap"
+    with firmware.running() as path:
+        process = started("capture", path, "-o", run, *files)
+        wait_for(run, 3000)
+        os.truncate(run, 0)
+        _, err = ended(process)
+    assert process.returncode == 2
+    assert "was cut short while it was written" in err

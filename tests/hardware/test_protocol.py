@@ -17,7 +17,7 @@ from hardware.drivers import framing, messages
 from hardware.drivers.assembly import Assembly, ExposureSet
 from hardware.drivers.framing import MAX_ENCODED, MAX_PAYLOAD, Deframer, ProtocolFrame
 from hardware.drivers.messages import Configured, Measurement, from_frame, to_frame
-from hardware.drivers.preparation import _possible
+from hardware.drivers.preparation import _fault
 from hardware.drivers.table import table_bytes
 from hardware.records import Flag
 
@@ -125,20 +125,30 @@ def test_any_payload_is_a_message_or_a_value_error(kind: int, payload: bytes) ->
             return  # allowed, though we would send it shorter
     if isinstance(message, (messages.Configured, messages.Status, messages.Identity)):
         return  # reserved bytes are not looked at
+    if isinstance(message, messages.Refused) and "\N{REPLACEMENT CHARACTER}" in message.text:
+        return  # what cannot be printed
     assert message.pack() == payload
+
+
+def test_text_of_a_device_is_printable() -> None:
+    """A name could forge a line on a terminal; broken UTF-8 would leave a request unanswered."""
+    told = messages.Refused(3, "").pack() + b"off\nugv: error: none\x1b[2J\xff"
+    assert messages.Refused.unpack(told).text == "off\ufffdugv: error: none\ufffd[2J\ufffd"
 
 
 def test_times_that_no_device_has_are_refused() -> None:
     """Device times are whole nanoseconds in 64 bits: a set of 1e9 s and more has none."""
     identity = messages.Identity(1, 16, 2, 16, 64, 1, 1, 1, 1e-6, 1.0, "camera")
-    assert _possible(_MADE, identity, _MADE.exposures, 64)
+    assert not _fault(_MADE, identity, _MADE.exposures, 64)
     for name in ("integration_time_s", "pattern_period_s", "electrons_per_count"):
         for value in (0.0, -1.0, 1e300, np.inf, np.nan):
             made = replace(_MADE, **{name: value})
-            assert not _possible(made, identity, _MADE.exposures, 64)
+            assert _fault(made, identity, _MADE.exposures, 64).startswith(f"{name} = {value:g}, ")
     for value in (1e300, -1e300, np.nan):
         made = replace(_MADE, offset_counts=value)
-        assert not _possible(made, identity, _MADE.exposures, 64)
+        assert _fault(made, identity, _MADE.exposures, 64).startswith(f"offset_counts = {value:g},")
+    short = replace(_MADE, pattern_period_s=0.9e-4)
+    assert _fault(short, identity, _MADE.exposures, 64).startswith("integration_time_s = 0.0001,")
 
 
 # A stream of measurements under faults.

@@ -11,6 +11,7 @@ import pytest
 from scipy import special
 from scipy.ndimage import uniform_filter1d
 
+from hardware.errors import InputError
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
@@ -379,6 +380,26 @@ def test_strong_echoes_are_no_clutter() -> None:
     frame = process(cube(WIDE, echoes, noise_w=1e-10))
     assert frame.clutter.is_noise
     assert not any("noise" in line for line in frame.warnings)
+
+
+@pytest.mark.parametrize(
+    ("counts", "fault"),
+    [
+        ((12, 12), "I and Q depend on each other"),
+        ((32767, 32767), "I and Q depend on each other"),
+        ((12, 0), "I and Q depend on each other"),
+        ((0, 0), None),
+    ],
+)
+def test_samples_that_are_constant_are_told(counts: tuple[int, int], fault: str | None) -> None:
+    """A receiver that is stuck, or a converter at its rail; of silence there is nothing to tell."""
+    record = cube(WIDE, [], noise_w=1e-10)
+    stuck = replace(record, iq=np.broadcast_to(np.array(counts, np.int16), record.iq.shape).copy())
+    if fault is None:
+        assert not process(stuck).detections
+        return
+    with pytest.raises(InputError, match=fault):
+        process(stuck)
 
 
 def test_a_cap_that_cuts_is_told() -> None:
