@@ -11,6 +11,7 @@ records: ``f(url, settings, over=...)``, as `open_source` takes them. The digita
 import threading
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -124,14 +125,19 @@ def _camera(url: str, settings: "SpiSettings", over: threading.Event | None) -> 
 def _radio(
     url: str, schedule: "Schedule", front_end: "RadarFrontEnd", over: threading.Event
 ) -> Records:
-    from hardware.drivers.radio import acquire, open_radio
+    from hardware.drivers.radio import RadioError, acquire, open_radio
 
     clock = ClockFilter(url)
     with open_radio(url, sample_rate_hz=schedule.waveform.bandwidth_hz, over=over) as radio:
         for _ in range(_FIRST_EXCHANGES):
             _exchange(radio, clock)
         while not over.is_set():
-            record = acquire(radio, schedule, front_end)
+            try:
+                record = acquire(radio, schedule, front_end)
+            except RadioError:
+                with suppress(RadioError):  # which warns where its clock was set meanwhile
+                    _exchange(radio, clock)
+                raise
             host_ns = time.time_ns()
             _exchange(radio, clock)
             yield Received("/radar/record", record, host_ns, clock.model)

@@ -55,7 +55,8 @@ def process(
     source: Annotated[str, typer.Argument(help="A log, or the URL of a sensor.")],
     *,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap.")
+        Path | None,
+        typer.Option("--out", "-o", help="New log; default SOURCE-processed.mcap, beside a log."),
     ] = None,
     method: Annotated[str, typer.Option(help="See `ugv methods`; or file.py:function.")] = "lmmse",
     settings: Settings = None,
@@ -119,8 +120,7 @@ def process(
         sliding=SlidingImages(image_every, image_motion) if image_every else None,  # type: ignore[arg-type]
         motion=image_motion,
     )
-    stem = Path(source.rpartition("/")[2].rpartition(":")[2]).stem or "records"
-    target, ending = out or Path(f"{stem}-processed.mcap"), Ending()
+    target, ending = out or _beside(source), Ending()
     # From a log, chunks are cut by their size alone: the same log gives the same bytes.
     flush_s = math.inf if is_log(source) else 0.5
     with asked_to_end() as over, Log(target, flush_s=flush_s) as log:
@@ -138,6 +138,14 @@ def process(
     say.add(source=source, records=processed.n, results=processed.results)
     say.written(target)
     warn_of_damage(say, {log_of(source): ending})
+
+
+def _beside(source: str) -> Path:
+    """Where results go: beside a log, or of a sensor into the working directory."""
+    if is_log(source):
+        return Path(source).with_name(f"{Path(source).stem}-processed.mcap")
+    name = Path(source.rpartition("/")[2].rpartition(":")[2]).stem
+    return Path(f"{name or 'records'}-processed.mcap")
 
 
 @dataclass

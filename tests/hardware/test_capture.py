@@ -33,9 +33,12 @@ PATIENCE_S, SOON_S = 60.0, 20.0
 
 
 @contextmanager
-def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[str]:
+def radio(
+    burst: Callable[[dict[str, Any]], dict[str, Any] | None],
+    now_ns: Callable[[], int] = time.monotonic_ns,
+) -> Iterator[str]:
     """URL of a radio by RADIO.md that answers bursts as told, with the samples that it was sent
-    where it is not late; None: not at all.
+    where it is not late; None: not at all. ``now_ns``: its clock.
     """
     context, running = zmq.Context(), True
     socket = context.socket(zmq.ROUTER)
@@ -51,7 +54,7 @@ def radio(burst: Callable[[dict[str, Any]], dict[str, Any] | None]) -> Iterator[
             answers: dict[str, dict[str, Any] | None] = {
                 "open": told,
                 "tune": {"carrier_hz": command.get("carrier_hz"), "time_ns": 5},
-                "time": {"time_ns": time.monotonic_ns()},
+                "time": {"time_ns": now_ns()},
                 "close": {},
             }
             answer = burst(command) if command["do"] == "burst" else answers[command["do"]]
@@ -282,3 +285,24 @@ def test_a_log_that_is_cut_short_while_it_is_written_is_an_error(
         _, err = ended(process)
     assert process.returncode == 2
     assert "was cut short while it was written" in err
+
+
+def test_a_radio_whose_clock_was_set_back_ends_with_the_cause(
+    files: list[str | Path], tmp_path: Path
+) -> None:
+    """A burst that waits for a time of before: no answer, and a clock that tells why."""
+    bursts, set_back = iter(range(1000)), threading.Event()
+
+    def restarted(command: dict[str, Any]) -> dict[str, Any] | None:
+        if next(bursts) < 2:
+            return on_time(command)
+        set_back.set()
+        return {"error": "no such time"}
+
+    now_ns = lambda: 7 if set_back.is_set() else time.monotonic_ns()  # noqa: E731
+    with radio(restarted, now_ns) as url:
+        process = started("capture", url, "-o", tmp_path / "run.mcap", *files)
+        _, err = ended(process)
+    assert process.returncode == 2
+    assert re.search(r"zmq://\S+: its clock jumped by -\d", err)
+    assert err.rstrip().endswith("no such time")

@@ -72,6 +72,8 @@ def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> N
     pixels = np.frombuffer(images[0].message.data[-4 * 128 :], "<f4").reshape(8, 16)
     picture = reconstruct(records[0].record, "zero-fill").picture  # type: ignore[arg-type]
     np.testing.assert_allclose(pixels, picture, rtol=1e-6, atol=1e-4)
+    assert ugv("process", run, "--method", "zero-fill").returncode == 0
+    assert (tmp_path / "run-processed.mcap").read_bytes() == out.read_bytes()
     again = ugv("process", f"replay:{run}", "-o", tmp_path / "again.mcap", "--method", "zero-fill")
     assert again.returncode == 0, again.stderr
     assert len(list(read_messages(tmp_path / "again.mcap"))) == 5
