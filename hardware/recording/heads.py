@@ -24,6 +24,13 @@ _LIKE_A_HEAD = re.compile(rb"[\x01-\x0f][\s\S]{4}\x00{4}")
 _BEFORE_COMPRESSION = 8 + 8 + 8 + 4
 _COMPRESSIONS = {b"", b"zstd", b"lz4"}
 _KINDS = frozenset(Opcode)
+#: Those with messages or what these need, and those whose content has one form.
+_KNOWN_ALONE = frozenset(
+    {
+        *(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK),
+        *(Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.FOOTER),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -58,10 +65,16 @@ class Heads:
                 skipped, at = further - at, further
                 continue
             fault = f"{skipped} bytes before offset {at} are no record" if skipped else head.fault
+            end = head.at + head.length
+            if head.kind == Opcode.FOOTER:
+                further = self._next(end + len(MAGIC))
+                if further is not None:  # another log, or a copy of a part, in the middle of this
+                    skipped, at = skipped + further - end, further
+                    continue
             yield replace(head, skipped=skipped, fault=fault)
             if head.kind == Opcode.FOOTER:
                 return
-            at, skipped = head.at + head.length, 0
+            at, skipped = end, 0
 
     def _cut_off(self, at: int) -> Iterator[Head]:
         """The last record, of which no more is there; none where a file system left zeros."""
@@ -92,9 +105,18 @@ class Heads:
         return head if self._is_whole(head) else None
 
     def _is_whole(self, head: Head) -> bool:
-        """Whether a record may be one, and all of it is there."""
-        is_there = head.at + head.length <= self._size
-        return head.kind != 0 and is_there and self._is_right(head)
+        """Whether a record may be one, and all of it is there. Of other kinds it is none unless a
+        known kind is behind it: it would hide messages in what is taken for its length.
+        """
+        end = head.at + head.length
+        if head.kind == 0 or end > self._size or not self._is_right(head):
+            return False
+        if head.kind in _KNOWN_ALONE:
+            return True
+        after = self._stated(end)
+        if after is None:
+            return end == self._size
+        return after.kind in _KINDS or self._length_of_chunk(after.at) == after.length
 
     def _is_chunk(self, head: Head, length: int) -> bool:
         """Whether a record is a chunk of the length that its content tells."""
@@ -138,11 +160,11 @@ class Heads:
         """The first offset from ``begin`` on at which records follow each other."""
         with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             for found in _overlapping(content, begin, self._size):
-                if self._in_a_row(found):
+                if self.follow_at(found):
                     return found
         return None
 
-    def _in_a_row(self, at: int) -> bool:
+    def follow_at(self, at: int) -> bool:
         """Whether some records of known kinds follow each other from an offset on, to the end of
         the file if they are fewer; a chunk whose length it tells twice is enough.
         """

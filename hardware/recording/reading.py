@@ -5,6 +5,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -101,10 +102,13 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
     """
     path, ending = Path(path), ending or Ending()
     with path.open("rb") as file:
+        size = path.stat().st_size
         if not MAGIC.startswith(file.read(len(MAGIC))):
-            raise InputError(f"{path}: no MCAP file")
+            if not Heads(file, size).follow_at(len(MAGIC)):
+                raise InputError(f"{path}: no MCAP file")
+            ending.fault = "its first bytes are damaged"
         ending.being_written = is_held(path)
-        reader, n = _LogReader(file, path.stat().st_size, ending), 0
+        reader, n = _LogReader(file, size, ending), 0
         for message in reader.messages():
             n += 1
             yield message
@@ -143,11 +147,12 @@ class _LogReader:
         self._searched = False
         self._from_broken_chunks = _Definitions()
         self._end = "it ends before its footer"
+        self._chunks: set[bytes] = set()
         self.refused: str | None = None
 
     def messages(self) -> Iterator[LoggedMessage]:
         """Every message that can be read."""
-        n, counted, in_index = 0, 0, False
+        n, counted, in_index, loose_bytes = 0, 0, False, 0
         n_before: int | None = (
             None  # messages of the broken chunk just passed; None: none is broken
         )
@@ -176,14 +181,19 @@ class _LogReader:
             n_before = None
             if kind == Opcode.DATA_END and not self._crc_matches(at, length):
                 self._note("the CRC-32 of the data is another")
+                self._ending.lost_bytes += loose_bytes  # any of which may be altered
             if kind == Opcode.STATISTICS:
                 counted = int.from_bytes(self._body(at, 8), "little")
             in_index |= kind == Opcode.DATA_END
             if kind not in (Opcode.CHUNK, *_DEFINITIONS) and (kind != Opcode.MESSAGE or in_index):
                 continue
+            loose_bytes += length if kind == Opcode.MESSAGE else 0
             n_here = 0
             try:
-                for message in self._in_record(kind, self._body(at, length)):
+                body = self._body(at, length)
+                if kind == Opcode.CHUNK and self._is_there_already(body):
+                    continue
+                for message in self._in_record(kind, body):
                     n_here, n = n_here + 1, n + 1
                     yield message
             except Exception as error:
@@ -202,6 +212,14 @@ class _LogReader:
         if not self._ending.finished:
             before = f"{self._ending.fault}; " if self._ending.fault else ""
             self._ending.fault = before + self._end
+
+    def _is_there_already(self, chunk: bytes) -> bool:
+        """Whether a chunk is a copy of an earlier one, whose messages would come twice."""
+        key = blake2b(chunk, digest_size=16).digest()
+        if is_copy := key in self._chunks:
+            self._note("a chunk is there twice; the second is left out")
+        self._chunks.add(key)
+        return is_copy
 
     def _note(self, fault: str) -> None:
         """Store the first of several faults."""
@@ -304,7 +322,7 @@ _WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 
 def _is_data_error(error: Exception) -> bool:
     """Whether an error is due to damaged data (zstandard has its own classes, lz4 RuntimeError)."""
-    known = (McapError, EOFError, OSError, RuntimeError, ValueError, struct.error)
+    known = (McapError, EOFError, OSError, OverflowError, RuntimeError, ValueError, struct.error)
     return isinstance(error, known) or type(error).__module__.split(".")[0] == "zstandard"
 
 
