@@ -62,21 +62,29 @@ class Assembly:
             np.arange(configured.exposures) * configured.pattern_period_s * 1e9
         ).astype(np.int64)
         self._open: list[Measurement] = []
-        #: Of the latest frame: exposures of the run before it, and its device time.
-        self._last: tuple[int, int] | None = None
+        #: The latest frame; and the latest that its time or number contradicts.
+        self._last: Measurement | None = None
+        self._doubted: Measurement | None = None
 
     def take(self, frame: Measurement) -> Iterator[ExposureSet]:
         """Sets that this frame completes or ends: at most two."""
         if frame.run != self.run or frame.sequence < self.next_sequence:
             self.refused += 1
             return
-        if fault := self._fault(frame):
+        fault = self._fault(frame)
+        if not fault and (fault := self._contradiction(frame, self._last)):
+            if self._agree(frame):
+                self._drop_last()
+                fault = ""
+            else:
+                self._doubted = frame
+        if fault:
             self.refused, self.fault = self.refused + 1, f"frame {frame.sequence}: {fault}"
             return
         if frame.sequence > self.next_sequence:
             self._on_loss(range(self.next_sequence, frame.sequence))
         self.next_sequence = frame.sequence + 1
-        self._last = (self._exposures_before(frame), frame.time_ns)
+        self._last, self._doubted = frame, None
         if self._open and self._set_of(self._open[0]) != self._set_of(frame):
             yield self._close()
         self._open.append(frame)
@@ -104,7 +112,7 @@ class Assembly:
         return self._set_of(frame) * self.configured.exposures + frame.first
 
     def _fault(self, frame: Measurement) -> str:
-        """What is wrong with a frame, by its number and by the frame before; empty if nothing."""
+        """What is wrong with a frame by itself; empty if nothing."""
         configured = self.configured
         first = frame.sequence % self._frames_per_set * configured.exposures_per_frame
         n = min(configured.exposures_per_frame, configured.exposures - first)
@@ -119,18 +127,34 @@ class Assembly:
             return f"counts from {least} to {most}, expected 0 to {self._top}"
         if abs(frame.time_ns) > MOST_TIME_NS:
             return f"device time of {frame.time_ns} ns, expected at most {MOST_TIME_NS:g}"
-        before, last_ns = self._last or (0, frame.time_ns)
-        takes_ns = (self._exposures_before(frame) - before) * configured.pattern_period_s * 1e9
-        passed_ns = frame.time_ns - last_ns
-        least_ns = takes_ns / 2 - _EARLY_NS if self._last else 0.0
-        if not least_ns <= passed_ns <= max(2 * takes_ns, _LONGEST_GAP_NS):
-            return (
-                f"begins {passed_ns * 1e-9:.6g} s after the one before, which by its number takes "
-                f"{takes_ns * 1e-9:.6g} s"
-            )
-        if takes_ns > _LONGEST_GAP_NS + 2 * passed_ns:
-            return f"is {takes_ns * 1e-9:.6g} s into its run by its number"
         return ""
+
+    def _contradiction(self, frame: Measurement, before: Measurement | None) -> str:
+        """What a frame's number and time say that those of one before contradict."""
+        period_ns, exposures = 1e9 * self.configured.pattern_period_s, self._exposures_before(frame)
+        if before is None:
+            takes_ns = exposures * period_ns
+            is_late = takes_ns > _LONGEST_GAP_NS
+            return f"is {takes_ns * 1e-9:.6g} s into its run by its number" if is_late else ""
+        takes_ns = (exposures - self._exposures_before(before)) * period_ns
+        passed_ns = frame.time_ns - before.time_ns
+        if takes_ns / 2 - _EARLY_NS <= passed_ns <= max(2 * takes_ns, _LONGEST_GAP_NS):
+            return ""
+        return (
+            f"begins {passed_ns * 1e-9:.6g} s after the one before, which by its number takes "
+            f"{takes_ns * 1e-9:.6g} s"
+        )
+
+    def _agree(self, frame: Measurement) -> bool:
+        """Whether a frame and the one refused before it agree, so that the one between is false."""
+        doubted = self._doubted
+        if doubted is None or doubted.sequence >= frame.sequence:
+            return False
+        return not self._contradiction(frame, doubted)
+
+    def _drop_last(self) -> None:
+        """Take the latest frame for lost, if its set is still open."""
+        self._open = [frame for frame in self._open if frame is not self._last]
 
     def _close(self) -> ExposureSet:
         n, number = self.configured.exposures, self._set_of(self._open[0])

@@ -2,12 +2,14 @@
 
 Each exchange (host sends t0, device receives t1 and sends t2, host receives t3) gives the offset
 ((t1 - t0) + (t2 - t3)) / 2, with an error of half the asymmetry of the two ways, so of less than
-half the round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). Exchanges with short round
-trips are the most accurate: a line through the best half gives offset and drift. An exchange that
-no drift explains tells that one of the clocks was set, as by a device's restart.
+half the round trip (Cristian, Distributed Computing 3, 1989; RFC 5905). A clock that drifts evenly
+is a line through all these intervals: the model is the middle of all such lines, and half their
+spread bounds its error. Where there is none, a clock was set or its drift has changed, and earlier
+exchanges count no more.
 """
 
 import logging
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +29,8 @@ MOST_TIME_NS = 2**62
 _KEPT = 64
 #: Exchanges in agreement that make a clock.
 _SURE = 8
+#: The latest exchanges: a second of them in a camera's run.
+_LATEST = 4
 #: Of times that are whole ns, and of half their sums.
 _ROUNDING_NS = 1.0
 
@@ -38,7 +42,9 @@ class ClockModel:
     """``device = host + offset + drift (host - reference)``, all ns of the host's clock.
 
     ``error_ns`` bounds the error of a time from the first exchange that counts on, if the clock
-    drifts evenly. After a jump of the clock it holds the jump, until some exchanges agree.
+    drifts evenly; it is never less than what one of the latest exchanges alone says, since a step
+    or a change of drift within the round trip is not seen. After a jump of the clock it holds the
+    jump, until some exchanges agree.
     ``drift`` is a pure number: 1e-6 is a device clock that gains a microsecond a second.
     """
 
@@ -85,7 +91,9 @@ class ClockFilter:
         hardly any does, one of the clocks was set, which is warned of. Raises InputError for a
         reply that came before the request, on either clock, or a device time beyond 146 years.
         """
-        trip = (returned_ns - sent_ns) - (replied_ns - received_ns)
+        held = replied_ns - received_ns  # by the device's clock
+        slack = math.ceil(MOST_DRIFT * max(held, 0))
+        trip = returned_ns - sent_ns - held + slack
         if returned_ns < sent_ns or replied_ns < received_ns or trip < 0:
             raise InputError(
                 f"time exchange: {sent_ns}, {received_ns}, {replied_ns}, {returned_ns} ns run back"
@@ -153,6 +161,8 @@ def _model_of(exchanges: Sequence[_Exchange], ahead_ns: float) -> ClockModel | N
     drift = (sum(last) - sum(first)) / 2 / (end - begin) if end > begin else 0.0
     at_latest = sum(last) / 2 - drift * end
     error = max(last[1] - last[0], first[1] - first[0]) / 2
+    alone = half + np.abs(at_latest + drift * t - offset)
+    error = max(error, float(alone[-_LATEST:].min()))
     return ClockModel(latest.host_ns, latest.offset_ns + round(at_latest), drift, error)
 
 

@@ -146,16 +146,20 @@ class RequestClient:
 
     def next(self, silence_s: float) -> Measurement | Status | None:
         """Next message of a run; None after a silence, or when it is over."""
-        if time.monotonic() > self._next_sync_s:
-            self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
-            self._link.write(encode(to_frame(self._time(), 0)))
         deadline = time.monotonic() + silence_s
+        self._synchronize_if_due()
         while not self.inbox and (left := deadline - time.monotonic()) > 0:
             if self.over.is_set():
                 break
+            self._synchronize_if_due()
             for tag, message in self._receive(min(left, _LOOK_S)):
                 self._keep(tag, message)
         return self.inbox.popleft() if self.inbox else None
+
+    def _synchronize_if_due(self) -> None:
+        if time.monotonic() > self._next_sync_s:
+            self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
+            self._link.write(encode(to_frame(self._time(), 0)))
 
     def reconnect(self) -> None:
         """Open a new line on which the device answers."""

@@ -103,7 +103,11 @@ def test_the_error_of_a_clock_is_that_of_all_lines_through_its_exchanges() -> No
         halves.append((-most - least) / 2)
         middle = model.device_ns(start + end) - (start + end) + start
         assert middle == pytest.approx((least - most) / 2, abs=5)
-    assert model.error_ns == pytest.approx(max(halves), abs=5)
+    alone = [
+        (most - least) / 2 + abs(model.device_ns(start + t) - t - (most + least) / 2)
+        for (t, least), (_, most) in zip(low[-4:], high[-4:], strict=True)
+    ]
+    assert model.error_ns == pytest.approx(max(*halves, min(alone)), abs=5)
 
 
 @pytest.mark.parametrize("step_ns", [1_000_000, -3_000_000, 5_000_000])
@@ -142,3 +146,33 @@ def test_clock_refuses_time_that_runs_back() -> None:
     for times in ((10, 5, 4, 20), (10, 5, 6, 9), (0, 0, 100, 50)):
         with pytest.raises(ValueError, match="run back"):
             clock.add(*times)
+
+
+@pytest.mark.parametrize(("step_ns", "trip_ns"), [(300_000, 260_000), (200_000, 100_000)])
+def test_a_step_within_the_round_trip_is_no_sudden_certainty(step_ns: int, trip_ns: int) -> None:
+    """It is not seen; what one exchange alone says is the least that is stated."""
+    rng, clock, start = np.random.default_rng(7), ClockFilter(ahead_s=0.3), 1_700_000_000 * 10**9
+    for n in range(80):
+        sent = n * 250_000_000
+        there = round(trip_ns * rng.uniform(0.3, 0.7))
+        received = sent + there + (step_ns if n >= 40 else 0)
+        clock.add(start + sent, received, received, start + sent + trip_ns)
+        model = clock.model
+        assert model is not None
+        off = abs(model.host_ns(received) - start - sent - there)
+        assert off <= 2.5 * model.error_ns
+        assert model.error_ns > 0.49 * trip_ns
+
+
+def test_a_device_that_answers_late_by_a_fast_clock_is_no_fault() -> None:
+    """It holds a request for 95 ms, which by its own clock are 0.5 ms more than the trip."""
+    clock, start, drift = ClockFilter(ahead_s=0.3), 1_700_000_000 * 10**9, 5e-3
+    for n in range(40):
+        sent = n * 250_000_000
+        received, replied = (round((sent + t) * (1 + drift)) for t in (50_000, 95_050_000))
+        clock.add(start + sent, received, replied, start + sent + 95_100_000)
+        model = clock.model
+        assert model is not None
+        for t in range(sent, sent + 300_000_000, 10_000_000):
+            off = model.host_ns(round(t * (1 + drift))) - start - t
+            assert abs(off) <= model.error_ns

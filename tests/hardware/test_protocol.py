@@ -307,6 +307,24 @@ def test_a_frame_that_its_time_or_number_contradicts_is_refused(
     assert lost == [range(later, 2)]
 
 
+@pytest.mark.parametrize("ahead_s", [1, 60, 80_000])
+def test_a_false_time_ahead_costs_its_frame_and_the_next(ahead_s: int) -> None:
+    """It is believed until two frames after it agree with each other and not with it."""
+    lost: list[range] = []
+    assembly, frames = (
+        Assembly(9, _MADE, 16, lost.append),
+        sent_frames(2 * _PER_SET, np.random.default_rng(1)),
+    )
+    false = replace(frames[2], time_ns=frames[2].time_ns + ahead_s * 10**9)
+    sent = [*frames[:2], false, *frames[3:]]
+    first, second = (one for frame in sent for one in assembly.take(frame))
+    assert (assembly.refused, lost) == (1, [range(3, 4)])
+    missing = np.flatnonzero(first.flags & Flag.LOST)
+    assert missing.tolist() == list(range(10, 20))
+    since_ns = np.diff(np.concatenate([first.device_time_ns, second.device_time_ns]))
+    assert (since_ns == 110_000).all()
+
+
 @pytest.mark.parametrize("mode", messages.MODE_CODES)
 def test_table_is_the_masks_bit_by_bit(mode: str) -> None:
     patterns = PatternSet(2, 2, 4, "natural", mode)  # type: ignore[arg-type]
