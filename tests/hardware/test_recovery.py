@@ -148,6 +148,7 @@ def test_a_message_outside_chunks_is_covered_by_the_crc_of_the_data(tmp_path: Pa
         path.write_bytes(data)
         assert len(list(read_messages(path, ending := Ending()))) == 1
         assert ending.fault == fault
+        assert bool(ending.lost) == (fault is not None)  # any message may be another
 
 
 def test_a_damaged_index_is_told_and_written_anew(tmp_path: Path) -> None:
@@ -219,6 +220,60 @@ def test_a_chunk_that_is_gone_is_missed_by_the_logs_own_count(tmp_path: Path) ->
     assert ending.fault == "its index is damaged"
     assert "lost: 0 bytes, 2 messages" in ending.advice(path)
     assert recover(path).original is not None
+
+
+def test_a_copy_of_a_chunk_is_left_out_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    _, (begin, end), (other, _), _ = of_chunks(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: other - 9] + data[begin - 9 : end] + data[other - 9 :])
+    ending = Ending()
+    assert [received.host_ns for received in read_records(path, ending)] == [0, 1, 2, 3]
+    assert ending.fault == "a chunk is there twice; the second is left out"
+    assert recover(path).kept == 8
+
+
+def test_the_end_of_another_log_in_the_middle_is_not_the_end(tmp_path: Path) -> None:
+    """Index, footer and last bytes, as where two files were joined."""
+    path = tmp_path / "run.mcap"
+    chunks = of_chunks(path)
+    data, at = path.read_bytes(), chunks[2][0] - 9
+    end_of_data = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
+    path.write_bytes(data[:at] + data[end_of_data:] + data[at:])
+    ending = Ending()
+    assert [received.host_ns for received in read_records(path, ending)] == [0, 1, 2, 3]
+    assert "bytes before offset" in str(ending.fault)
+    assert recover(path).original is not None
+
+
+@pytest.mark.parametrize("place", [28, 43], ids=["compression's name", "what it holds"])
+def test_a_size_within_a_chunk_that_cannot_be_takes_that_chunk_alone(
+    tmp_path: Path, place: int
+) -> None:
+    """Behind times, size and CRC-32: a name's length, the name, and the length of what follows."""
+    path = tmp_path / "run.mcap"
+    (_, _), (begin, _), *_ = of_chunks(path)
+    spoiled = bytearray(path.read_bytes())
+    spoiled[begin + place] ^= 0x82
+    path.write_bytes(spoiled)
+    ending = Ending()
+    assert [received.host_ns for received in read_records(path, ending)] == [0, 2, 3]
+    assert ending.lost
+    assert recover(path).original is not None
+
+
+@pytest.mark.parametrize("place", range(8))
+def test_damaged_first_bytes_are_told(tmp_path: Path, place: int) -> None:
+    path = tmp_path / "run.mcap"
+    of_chunks(path)
+    spoiled = bytearray(path.read_bytes())
+    spoiled[place] ^= 0x10
+    path.write_bytes(spoiled)
+    ending = Ending()
+    assert len(list(read_records(path, ending))) == 4
+    assert ending.fault == "its first bytes are damaged"
+    assert recover(path).kept == 8
+    assert (recover(path).kept, recover(path).ending.fault) == (8, None)
 
 
 def test_zeros_that_a_file_system_left_behind_are_no_loss(tmp_path: Path) -> None:
