@@ -162,7 +162,8 @@ class SpiCamera:
         except LinkError as error:
             _log.warning("%s: %s; opening it again", self.url, error)
             self._device.reconnect()
-            return self._handle_status(self.status())
+            status = self.status()
+            return self._give_up(run) if run.is_over else self._handle_status(status)
 
     def _take(self, frame: Measurement) -> list[ExposureSet]:
         """Sets completed by a frame; the first fault of a run is warned of."""
@@ -203,6 +204,10 @@ class SpiCamera:
             return list(run.assembly.finish(status.frames))
         else:
             _log.warning("%s: the device was reset; starting anew", self.url)
+        return self._give_up(run)
+
+    def _give_up(self, run: _Run) -> list[ExposureSet]:
+        """The set that a run was measuring; the next step starts the device anew."""
         self.statistics.restarts += 1
         self._starts_in_vain += 1
         if self._starts_in_vain > self._device.patience.attempts:
@@ -211,7 +216,7 @@ class SpiCamera:
                 f"{self._device.patience.attempts} times"
                 + (f"; {run.assembly.fault}" if run.assembly.fault else "")
             )
-        run.is_over = True  # what it measured goes out first, while its clock is that of the run
+        run.is_over = True  # what it measured goes out before, while its clock is that of the run
         return list(run.assembly.cut_off())
 
     def _fault_of_silence(self, run: _Run, status: Status) -> str:
