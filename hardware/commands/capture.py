@@ -13,6 +13,7 @@ from hardware.commands.quantities import quantity_of
 from hardware.commands.records import (
     RadarSetup,
     Settings,
+    flag_counts,
     log_of,
     settings_of,
     setup_of,
@@ -21,11 +22,11 @@ from hardware.commands.records import (
 from hardware.errors import InputError
 
 if TYPE_CHECKING:
-    from hardware.recording import Received
+    from hardware.recording.kinds import Record
 
 #: Share of a topic's slots or exposures.
 _WORTH_A_WARNING = 0.01
-_FAULTS = {"LOST": "lost", "OVERRUN": "overrun", "SATURATED": "saturated"}
+_FAULTS = ("lost", "overrun", "saturated")
 
 
 def register(app: typer.Typer) -> None:
@@ -77,7 +78,7 @@ def capture(
         try:
             for received in incoming:
                 n[received.topic] += 1
-                flags.setdefault(received.topic, Counter()).update(_flag_counts(received))
+                flags.setdefault(received.topic, Counter()).update(_counted(received.record))
                 say.step(f"{received.topic}: record {n[received.topic]}")
         finally:
             if over.is_set():
@@ -88,35 +89,34 @@ def capture(
         if not n:
             within = f" within {duration:g} s" if duration < math.inf else ""
             raise InputError(f"{', '.join(urls)}: no record came{within}")
+    unheard = [
+        topic for topic, counted in flags.items() if counted["overrun"] == counted["slots"] > 0
+    ]
     for topic, counted in flags.items():
-        if counted["slots"] and counted["OVERRUN"] == counted["slots"]:
-            raise InputError(
-                f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
-                "heard: the bursts reach the radio after their time. Give the setup more time "
-                "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
-            )
-        for fault in _faults(counted):
+        for fault in _faults(counted) if topic not in unheard else ():
             say.warn(f"{topic}: {fault}")
+    for topic in unheard:
+        raise InputError(
+            f"{out}: {topic}: every slot of its {n[topic]} records is overrun, nothing was "
+            "heard: the bursts reach the radio after their time. Give the setup more time "
+            "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
+        )
     warn_of_damage(say, {log_of(url): ending for url, ending in endings.items()})
 
 
-def _flag_counts(received: "Received") -> Counter[str]:
-    """Of a record: its slots or exposures, and those with each flag."""
-    import numpy as np
+def _counted(record: "Record") -> dict[str, int]:
+    """Slots or exposures of a record, and those with each flag."""
+    from hardware.records import RadarRecord
 
-    from hardware.records import Flag, RadarRecord
-
-    record = received.record
     what = "slots" if isinstance(record, RadarRecord) else "exposures"
-    flagged = {str(f.name): int(np.count_nonzero(record.flags & np.uint8(f))) for f in Flag}
-    return Counter({what: record.flags.size, **flagged})
+    return {what: record.flags.size, **flag_counts(record.flags)}
 
 
 def _faults(counted: Counter[str]) -> list[str]:
     """What is wrong with a share of the slots or exposures that is worth a warning."""
     what = "slots" if counted["slots"] else "exposures"
     return [
-        f"{100 * counted[flag] / counted[what]:.3g} % of its {counted[what]} {what} are {words}"
-        for flag, words in _FAULTS.items()
+        f"{100 * counted[flag] / counted[what]:.3g} % of its {counted[what]} {what} are {flag}"
+        for flag in _FAULTS
         if counted[flag] > _WORTH_A_WARNING * counted[what]
     ]

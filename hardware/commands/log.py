@@ -9,7 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from hardware.commands.output import Output, with_output
-from hardware.commands.records import DATA_LOST, fault_in_brackets, warn_of_damage
+from hardware.commands.records import (
+    DATA_LOST,
+    fault_in_brackets,
+    flag_counts,
+    warn_of_damage,
+)
 from hardware.errors import InputError
 
 
@@ -33,7 +38,7 @@ def replay(
     for received in play(path, speed=speed, ending=ending):
         first_ns = received.host_ns if first_ns is None else first_ns
         since_s = (received.host_ns - first_ns) * 1e-9
-        flags = _flag_counts(received.record.flags)
+        flags = flag_counts(received.record.flags)
         say.verdict(f"{since_s:10.3f} s  {received.topic}  {_flags_text(flags)}".rstrip())
         if say.json:
             records.append({"topic": received.topic, "time_s": since_s, "flags": flags})
@@ -58,7 +63,7 @@ def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> N
         times = [min(times[0], logged.message.log_time), max(times[1], logged.message.log_time)]
         if received := unpack_record(path, logged):
             record = received.record
-            flags.update(_flag_counts(record.flags))
+            flags.update(flag_counts(record.flags))
             devices.add(record.device)
             if isinstance(record, SpiRecord):
                 missing[logged.topic] += exposures_between(last.get(logged.topic), record)
@@ -137,15 +142,6 @@ def export(
     say.verdict(f"{out}: {n} recordings")
     say.add(recordings=n, folder=out)
     warn_of_damage(say, {path: ending})
-
-
-def _flag_counts(flags: object) -> dict[str, int]:
-    import numpy as np
-
-    from hardware.records import Flag
-
-    counts = {str(f.name).lower(): int(np.count_nonzero(np.bitwise_and(flags, f))) for f in Flag}  # type: ignore[call-overload]
-    return {name: n for name, n in counts.items() if n}
 
 
 def _flags_text(counts: Mapping[str, int]) -> str:

@@ -70,6 +70,16 @@ def setup_of(path: Path | None) -> "tuple[Schedule, RadarFrontEnd] | None":
     return read_setup(path) if path else None
 
 
+def flag_counts(flags: object) -> dict[str, int]:
+    """Number of exposures or slots with each flag that any has."""
+    import numpy as np
+
+    from hardware.records import Flag
+
+    counts = {str(f.name).lower(): int(np.count_nonzero(np.bitwise_and(flags, f))) for f in Flag}  # type: ignore[call-overload]
+    return {name: n for name, n in counts.items() if n}
+
+
 def fault_in_brackets(ending: "Ending") -> str:
     """Why a log may hold less than is asked for; empty where it is whole."""
     return f" ({ending.fault})" if ending.fault else ""

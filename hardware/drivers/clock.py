@@ -107,12 +107,12 @@ class ClockFilter:
         n_before = len(self._exchanges)
         self._exchanges.append(new)
         found = _model_of(self._exchanges, self._ahead_ns)
-        if found is None:
-            while found is None:
-                self._exchanges.popleft()
-                found = _model_of(self._exchanges, self._ahead_ns)
-            if len(self._exchanges) <= 2:
-                found = self._after_jump(new, n_before)
+        contradicts = found is None
+        while found is None:
+            self._exchanges.popleft()
+            found = _model_of(self._exchanges, self._ahead_ns)
+        if contradicts and len(self._exchanges) <= 2:
+            found = self._after_jump(new, n_before)
         if len(self._exchanges) >= _SURE:
             self._jumped_ns = 0
         self._model = replace(found, error_ns=found.error_ns + self._jumped_ns)
