@@ -1,12 +1,8 @@
 """The camera's driver against the reference firmware: another implementation, on a real line."""
 
-import os
-import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +10,7 @@ import numpy as np
 import pytest
 import serial
 from asking import asking
+from line_bridge import bridged
 from rfc2217_port import behind_rfc2217
 
 from hardware import PatternSet, SpiRecord, reconstruct
@@ -24,13 +21,9 @@ from hardware.drivers.messages import (
     UPLOADED,
     Configure,
     Configured,
-    Identity,
-    Measurement,
-    Message,
     Refusal,
     Refused,
     Upload,
-    from_frame,
     to_frame,
 )
 from hardware.drivers.request_client import RequestClient
@@ -40,65 +33,6 @@ from hardware.records import Flag, QuaternionPose, Shutter
 QUICK = Patience(reply_s=0.4, attempts=3, reconnect_s=5.0, between_attempts_s=0.05)
 PATTERNS = PatternSet(8, 8, 64)
 SETTINGS = SpiSettings(PATTERNS, 10e-6)
-
-
-class Bridge:
-    """A TCP port in front of a terminal, which can cut the line or spoil what passes."""
-
-    def __init__(self, terminal: str) -> None:
-        self.spoil: Callable[[bytes], bytes] = lambda data: data
-        self.cut = threading.Event()
-        self._terminal = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self._over = False
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        return f"socket://127.0.0.1:{self._server.getsockname()[1]}"
-
-    def close(self) -> None:
-        self._over = True
-        socket.create_connection(self._server.getsockname()).close()
-        self._thread.join(5)
-        self._server.close()
-        os.close(self._terminal)
-
-    def _serve(self) -> None:
-        while not self._over:
-            host, _ = self._server.accept()
-            with host, selectors.DefaultSelector() as ready:
-                ready.register(host, selectors.EVENT_READ)
-                ready.register(self._terminal, selectors.EVENT_READ)
-                while not self._over and self._pass(host, ready):
-                    pass
-
-    def _pass(self, host: socket.socket, ready: selectors.BaseSelector) -> bool:
-        for key, _ in ready.select(0.05):
-            try:
-                if key.fileobj is host:
-                    data = host.recv(4096)
-                    os.write(self._terminal, data)
-                    if not data:
-                        return False
-                else:
-                    host.sendall(self.spoil(os.read(self._terminal, 4096)))
-            except OSError:
-                return False
-        if self.cut.is_set():
-            self.cut.clear()
-            return False
-        return True
-
-
-@contextmanager
-def bridged(terminal: str) -> Iterator[Bridge]:
-    bridge = Bridge(terminal)
-    try:
-        yield bridge
-    finally:
-        bridge.close()
 
 
 def test_records_are_what_the_device_measured(firmware: Any) -> None:
@@ -466,71 +400,3 @@ def test_what_the_device_cannot_do_is_refused(
 def test_settings_that_no_device_takes(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"^{next(iter(change))}: "):
         replace(SETTINGS, **change)
-
-
-def changed(change: Callable[[Message], Message | None]) -> Callable[[bytes], bytes]:
-    """Of a line: each message as it is changed; None: left out."""
-    deframer = Deframer()
-
-    def spoil(data: bytes) -> bytes:
-        told = b""
-        for frame in deframer.feed(data):
-            if (message := change(from_frame(frame))) is not None:
-                told += encode(to_frame(message, frame.tag))
-        return told
-
-    return spoil
-
-
-def test_a_line_on_which_no_measurement_comes_ends_with_an_error(
-    firmware: Any, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The device measures, and answers that it does: it is started anew, and then given up."""
-    with firmware.running() as path, bridged(path) as bridge:
-        bridge.spoil = changed(lambda one: None if isinstance(one, Measurement) else one)
-        patience = replace(QUICK, reconnect_s=0.5, attempts=2)
-        with (
-            SpiCamera(bridge.url, SETTINGS, patience=patience) as camera,
-            pytest.raises(DeviceError, match="though it was started anew 2 times"),
-        ):
-            next(camera.records())
-    assert "and none has come whole for" in caplog.text
-
-
-def test_a_frame_that_is_refused_is_told_with_the_reason(
-    firmware: Any, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Once a run: counts that the converter cannot give."""
-
-    def too_bright(one: Message) -> Message:
-        if isinstance(one, Measurement) and one.sequence % 2:
-            return replace(one, counts=one.counts + 2**16)
-        return one
-
-    with firmware.running("--fast") as path, bridged(path) as bridge:
-        bridge.spoil = changed(too_bright)
-        with SpiCamera(bridge.url, SETTINGS, patience=QUICK) as camera:
-            records = list(camera.records(sets=4))
-            assert camera.statistics.refused > 1
-    assert all((record.counts < 2**16).all() for record in records)
-    (told,) = (one for one in caplog.messages if "refused" in one)
-    assert "expected 0 to 65535" in told
-
-
-def test_another_device_after_a_reset_is_recorded_as_what_it_is(
-    firmware: Any, caplog: pytest.LogCaptureFixture
-) -> None:
-    identities = []
-
-    def renamed(one: Message) -> Message:
-        if isinstance(one, Identity):
-            identities.append(one)
-            return replace(one, device=f"camera {len(identities)}")
-        return one
-
-    with firmware.running("--fast", "--reset-after", "33") as path, bridged(path) as bridge:
-        bridge.spoil = changed(renamed)
-        with SpiCamera(bridge.url, SETTINGS, patience=QUICK) as camera:
-            records = list(camera.records(sets=40))
-    assert [record.device for record in records] == ["camera 1"] * 17 + ["camera 2"] * 24
-    assert "is another device now, 'camera 2' of 16 bits" in caplog.text
