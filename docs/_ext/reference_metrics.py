@@ -63,7 +63,9 @@ def assumptions_page() -> str:
     from twin.camera.assumptions import (
         MODEL_ASSUMPTIONS,
         MOVING_ASSUMPTION,
+        SKY_STAYS_ASSUMPTION,
         STILL_ASSUMPTION,
+        SUN_MOVES_ASSUMPTION,
     )
     from twin.radar.diagnostics import MODEL_ASSUMPTIONS as OF_THE_RADAR
     from twin.radar.propagation.solvers import SOLVERS
@@ -72,6 +74,8 @@ def assumptions_page() -> str:
         ("camera", MODEL_ASSUMPTIONS),
         ("camera, at rest", (STILL_ASSUMPTION,)),
         ("camera, where things move", (MOVING_ASSUMPTION,)),
+        ("camera, where the sun moves", (SUN_MOVES_ASSUMPTION,)),
+        ("the same, of a system with a sky", (SKY_STAYS_ASSUMPTION,)),
         ("radar", OF_THE_RADAR),
         *((f"radar, `{name}`", solver.assumptions) for name, solver in SOLVERS.items()),
     ]

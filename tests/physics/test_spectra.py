@@ -7,14 +7,9 @@ import numpy as np
 import pytest
 
 from twin.files import InputError
-from twin.optics.solar_irradiance import (
-    _tables,
-    air_mass,
-    clear_sun,
-    sun_band_irradiance,
-    sun_in_band,
-)
+from twin.optics.solar_irradiance import sun_band_irradiance, sun_in_band
 from twin.optics.spectra import angle_shift, filter_shape, in_band_fraction, responsivity_a_per_w
+from twin.scene.clear_sky import air_mass, clear_sun, g173
 from twin.system import Sky, load_part, load_system
 from twin.system.curves import read_curve
 from twin.toml import Sourced
@@ -47,7 +42,7 @@ def test_the_table_is_the_one_that_colour_science_has() -> None:
     import colour
     from colour.plotting.datasets import astm_g_173
 
-    nm, outside, direct, v = _tables()
+    nm, outside, direct, v = g173()
     np.testing.assert_array_equal(nm, astm_g_173.SD_ASTMG173_ETR.wavelengths)
     np.testing.assert_array_equal(outside, astm_g_173.SD_ASTMG173_ETR.values)
     np.testing.assert_array_equal(direct, astm_g_173.SD_ASTMG173_DIRECT_CIRCUMSOLAR.values)

@@ -402,6 +402,19 @@ def test_a_world_at_rest_is_rendered_once_and_its_noise_is_new(tmp_path: Path) -
     assert drive(still, tmp_path / "still.mcap").complete
 
 
+def test_a_world_at_rest_is_lit_by_the_sun_of_each_frame() -> None:
+    scene, system = load_scene("table1"), CAMERA.with_({"sky": None})
+    dusk = {"illuminance_lx": 300.0, "latitude_deg": 50.0, "north_azimuth_deg": 90.0}
+    sunlit = replace(scene, sun=replace(scene.sun, **dusk))
+    hours = (0, 1, 2, 12)
+    first, second, third, night = (
+        CameraFrames(plan(scene=sunlit, system=system, radar=None))(k, h * 3600 * 10**9)
+        for k, h in enumerate(hours)
+    )
+    assert len({float(np.mean(x.counts)) for x in (first, second, third, night)}) == 4
+    assert night.counts.mean() < min(x.counts.mean() for x in (first, second, third))
+
+
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

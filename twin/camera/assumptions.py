@@ -28,6 +28,13 @@ MODEL_ASSUMPTIONS = (
 STILL_ASSUMPTION = "nothing moves during a frame"
 MOVING_ASSUMPTION = "the truth of a frame in which things move is that of its middle"
 
+#: Of a sun that moves, and of its brightness where the system has a sky.
+SUN_MOVES_ASSUMPTION = (
+    "sun: turns about the pole of the sky by 15 degrees an hour, without refraction and the course "
+    "of the year, and stands still during a frame"
+)
+SKY_STAYS_ASSUMPTION = "sun: as bright as the system's sky says until it sets"
+
 
 def assumptions(scene: Scene, system: System, *, moves: bool, detector: str) -> tuple[str, ...]:
     """All that hold for a capture; ``moves``: whether something moves during its frame;
@@ -37,7 +44,9 @@ def assumptions(scene: Scene, system: System, *, moves: bool, detector: str) -> 
     scan = (SCAN_ASSUMPTION,) if system.optics.is_scanned else ()
     sampled = (system.sampling_note,) if system.sampling_note else ()
     rest = (MOVING_ASSUMPTION if moves else STILL_ASSUMPTION,)
-    fixed = (*MODEL_ASSUMPTIONS, *rest, *air, *scan, *sampled)
+    sun = (SUN_MOVES_ASSUMPTION,) if scene.sun.moves else ()
+    sky = (SKY_STAYS_ASSUMPTION,) if scene.sun.moves and system.sky else ()
+    fixed = (*MODEL_ASSUMPTIONS, *rest, *sun, *sky, *air, *scan, *sampled)
     own = f"detector: {detector} in place of the system's detector and readout"
     given = (*_idealised(system), *scene.assumptions, *(said for _, said in system.assumed()))
     return (*fixed, *given, *((own,) if detector else ()))

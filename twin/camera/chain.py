@@ -75,7 +75,8 @@ class Chain:
 
     @classmethod
     def of(cls, system: System, sun: Sun, detector: Detector | None = None) -> "Chain":
-        """Chain of a system, under its own sky or else the scene's sun; ``detector``: in place of
+        """Chain of a system, under its own sky or else the scene's sun; of a sun that has moved
+        below the horizon, in the dark. ``detector``: in place of
         the system's detector and readout, `detector.function` among them. Raises InputError for an
         incomplete one.
         """
@@ -86,7 +87,7 @@ class Chain:
         return cls(
             system=system,
             lens=collection(system),
-            sky=passband(system, system.sky or own),
+            sky=passband(system, own if sun.has_set else system.sky or own),
             shutters=shutters(system),
             front_end=FrontEnd.of(system, responsivity)
             if detector is None

@@ -1,6 +1,6 @@
 """Light of one frame, still or in motion: what every capture, stream and sweep measures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,8 @@ def lit_frame(
     """
     world, seen = world_in_motion(scene, system, fidelity), scene
     if world is not None:
-        seen, mesh_scene = scene.after(world.duration_s / 2), None
+        # The sun, which moves 0.004 degrees in a second, stands still in a frame.
+        seen, mesh_scene = replace(scene.after(world.duration_s / 2), sun=scene.sun), None
     rendered = render(
         seen, system, fidelity=fidelity, seed=seed, mesh_scene=mesh_scene, stage=stage
     )

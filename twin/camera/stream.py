@@ -6,15 +6,17 @@ Moving the rig costs nothing; moving geometry would rebuild the renderer's accel
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hardware.records import SpiRecord
-from twin.camera.acquisition import capture
+from twin.camera.acquisition import capture, measure
 from twin.camera.chain import Chain
 from twin.camera.light import render_light
 from twin.camera.lit_frame import LitFrame, lit_frame
 from twin.camera.mounting import check_rig, light_problem
+from twin.camera.still_world import StillWorld
 from twin.camera.truth import Truth, depths
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.optics.paths import TracingQuality
@@ -114,7 +116,7 @@ def still_light(
 
 
 def moves(scene: Scene) -> bool:
-    """Whether anything in a scene does, its rig or an object."""
+    """Whether anything in a scene does, its rig or an object; the sun does not count."""
     return scene.rig.moves or not scene.at_rest
 
 
@@ -122,7 +124,8 @@ def moves(scene: Scene) -> bool:
 class MovingFrames:
     """Frame k of a camera in a world that moves, k frames after the scene's own instant.
 
-    Frame k is drawn from ``seed`` + k and depends on nothing else; frame 0 is that of `capture`.
+    Frame k is drawn from ``seed`` + k and depends on nothing else, but that all frames have the
+    same paths of light where nothing moves but the sun; frame 0 is that of `capture`.
     Raises InputError as `capture`, and where a trajectory ends before the frame does.
     """
 
@@ -133,9 +136,25 @@ class MovingFrames:
 
     def __call__(self, number: int) -> SpiRecord:
         """The record of one frame, in any order."""
-        world = self.scene.after(number * self.system.frame_time_s)
-        taken = capture(world, self.system, seed=self.seed + number, fidelity=self.fidelity)
+        at_s, seed = number * self.system.frame_time_s, self.seed + number
+        if moves(self.scene):
+            world = self.scene.after(at_s)
+            taken = capture(world, self.system, seed=seed, fidelity=self.fidelity)
+        else:
+            world, light = self._still.at(at_s)
+            rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[1])
+            taken = measure(world, self.system, light, rng=rng, noise=self._knobs.noise)
         return numbered(taken.record, self.system, number)
+
+    @property
+    def _knobs(self) -> Fidelity:
+        return knobs_of(self.fidelity)
+
+    @cached_property
+    def _still(self) -> StillWorld:
+        """With the paths of frame 0 in all frames."""
+        light_seed, _ = np.random.SeedSequence(self.seed).spawn(2)
+        return StillWorld(self.scene, self.system, self._knobs, light_seed)
 
 
 def numbered(record: SpiRecord, system: System, number: int, start_ns: int = 0) -> SpiRecord:

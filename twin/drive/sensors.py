@@ -7,9 +7,8 @@ import numpy as np
 
 from hardware.records import RadarRecord, SpiRecord
 from twin.camera.acquisition import capture, measure
-from twin.camera.light import render
 from twin.camera.mounting import devices
-from twin.camera.rendered import RenderedLight
+from twin.camera.still_world import StillWorld
 from twin.camera.stream import numbered
 from twin.camera.truth import Truth, render_truth
 from twin.drive.plan import Drive
@@ -25,7 +24,9 @@ def seed_of(seed: int, sensor: int, number: int) -> int:
 
 @dataclass(frozen=True)
 class CameraFrames:
-    """The camera of a drive. A world at rest is rendered once."""
+    """The camera of a drive. A world at rest is rendered once, or as often as the sun's course
+    needs.
+    """
 
     drive: Drive
 
@@ -39,8 +40,8 @@ class CameraFrames:
             taken = capture(world, system, seed=seed, fidelity=drive.fidelity)
         else:
             rng = np.random.default_rng(seed)
-            noise = drive.fidelity.noise
-            taken = measure(drive.scene, system, self._still, rng=rng, noise=noise)
+            world, light = self._still.at(1e-9 * begin_ns)
+            taken = measure(world, system, light, rng=rng, noise=drive.fidelity.noise)
         begin_ns = drive.camera_clock.after_start(0)
         return numbered(taken.record, system, number, begin_ns)
 
@@ -49,16 +50,16 @@ class CameraFrames:
         drive, system = self.drive, self.drive.system
         assert system is not None
         if not drive.moves:
-            return self._still.truth
+            return self._still.at(1e-9 * at_ns)[1].truth
         world = drive.scene.after(1e-9 * at_ns)
         emitter, _, _ = devices(world, system)
         return render_truth(mitsuba_scene(world), emitter, system.image_shape)
 
     @cached_property
-    def _still(self) -> RenderedLight:
+    def _still(self) -> StillWorld:
         drive, seed = self.drive, np.random.SeedSequence([self.drive.seed, 2])
         assert drive.system is not None
-        return render(drive.scene, drive.system, fidelity=drive.fidelity, seed=seed)
+        return StillWorld(drive.scene, drive.system, drive.fidelity, seed)
 
 
 class RadarBursts:

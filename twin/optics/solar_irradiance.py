@@ -1,8 +1,6 @@
 """Irradiance of the sun in the filter's band, by illuminance or by the sun's elevation."""
 
-import math
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +9,14 @@ from numpy.typing import NDArray
 
 from twin.errors import InputError
 from twin.optics.spectra import angle_shift
+from twin.scene.clear_sky import clear_sun, direct_sun, spectrum_lx
 from twin.system import Filter, Sky
 from twin.system.curves import read_transmission
 
 Array = NDArray[np.float64]
 
-_LM_PER_W = 683.0  # maximum luminous efficacy of radiation
 #: Share of a curve's peak below which it blocks.
 _PASSES = 1e-2
-#: In a file of its own: colour-science, which also has it, takes half a second to import.
-_G173 = Path(__file__).with_name("astm_g173.csv")
 
 #: Declared with every result that depends on it.
 SUN_ASSUMPTION = (
@@ -43,14 +39,12 @@ def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
     """
     if sky.sun_elevation_deg is not None:
         nm, spectrum = clear_sun(sky.sun_elevation_deg.value)
-        return SunInBand(
-            _illuminance(nm, spectrum), _filtered_integral(nm, spectrum, band, angle_deg)
-        )
+        return SunInBand(spectrum_lx(spectrum), _filtered_integral(nm, spectrum, band, angle_deg))
     assert sky.illuminance_lx is not None  # a Sky has one of the two
     lux = sky.illuminance_lx.value
-    nm, spectrum = _direct()
+    nm, spectrum = direct_sun()
     irradiance = _filtered_integral(nm, spectrum, band, angle_deg)
-    return SunInBand(lux, irradiance * lux / _illuminance(nm, spectrum))
+    return SunInBand(lux, irradiance * lux / spectrum_lx(spectrum))
 
 
 def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width_m: float) -> float:
@@ -64,31 +58,11 @@ def sun_band_irradiance(illuminance_lx: float, center_wavelength_m: float, width
 
     Raises InputError for a band outside the table.
     """
-    nm, spectrum = _direct()
+    nm, spectrum = direct_sun()
     low, high = ((center_wavelength_m + side * width_m / 2) * 1e9 for side in (-1, 1))
     if low < nm[0] or high > nm[-1]:
         raise InputError(f"band {low:g} to {high:g} nm is outside the solar spectrum's table")
-    return _integral(nm, spectrum, low, high) * illuminance_lx / _illuminance(nm, spectrum)
-
-
-def clear_sun(elevation_deg: float) -> tuple[Array, Array]:
-    """Direct spectrum of the sun in a clear sky: wavelength in nm, W/m^2/nm on the normal plane.
-
-    ASTM G-173 tabulates the spectrum above the atmosphere and behind 1.5 air masses; the
-    transmission of one air mass is the 1.5th root of their ratio, and Beer's law scales it to the
-    air mass of the elevation (Kasten and Young, Applied Optics 28, 1989). Zero below the horizon.
-    """
-    nm, outside, direct, _ = _tables()
-    if elevation_deg <= 0:
-        return nm, np.zeros_like(nm)
-    transmission = np.divide(direct, outside, out=np.zeros_like(direct), where=outside > 0)
-    return nm, outside * transmission ** (air_mass(elevation_deg) / 1.5)
-
-
-def air_mass(elevation_deg: float) -> float:
-    """Relative optical air mass (Kasten and Young 1989): 1 at the zenith, 38 at the horizon."""
-    sine = math.sin(math.radians(elevation_deg))
-    return 1 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
+    return _integral(nm, spectrum, low, high) * illuminance_lx / spectrum_lx(spectrum)
 
 
 def _filtered_integral(nm: Array, spectrum: Array, band: Filter, angle_deg: float) -> float:
@@ -132,20 +106,3 @@ def _integral(nm: Array, spectrum: Array, low: Any, high: Any) -> Any:
     after = (ends[1] - nm[j]) * (at[1] + spectrum[j]) / 2
     alone = (ends[1] - ends[0]) * (at[0] + at[1]) / 2
     return np.where(first <= last, before + steps[j] - steps[i] + after, alone)[()]
-
-
-def _illuminance(nm: Array, spectrum: Array) -> float:
-    return float(_LM_PER_W * np.trapezoid(spectrum * _tables()[3], nm))
-
-
-def _direct() -> tuple[Array, Array]:
-    """ASTM G-173's direct spectrum: nm, W/m^2/nm on the plane normal to the sun."""
-    nm, _, direct, _ = _tables()
-    return nm, direct
-
-
-@lru_cache(maxsize=1)
-def _tables() -> tuple[Array, Array, Array, Array]:
-    """ASTM G-173: nm, above the atmosphere, direct and circumsolar; and V(lambda) on its grid."""
-    nm, outside, direct, v = np.loadtxt(_G173, delimiter=",", unpack=True)
-    return nm, outside, direct, v

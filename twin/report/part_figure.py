@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.files import InputError
-from twin.optics.solar_irradiance import clear_sun
 from twin.optics.spectra import emitter_line, filter_shape
 from twin.report.style import BLUE, ORANGE, new_figure
+from twin.scene.clear_sky import clear_sun
 from twin.system import Part
 from twin.system.curves import read_responsivity
 

@@ -6,9 +6,10 @@ renderer crashes, and on other faults it silently returns wrong light.
 """
 
 from twin.scene.load import load_scene
-from twin.scene.model import Scene, Sun
+from twin.scene.model import Scene
 from twin.scene.objects import SceneObject, Target
 from twin.scene.rig import Pose, Rig, Track, parse_pose, parse_track
+from twin.scene.sun import Sun
 
 __all__ = [
     "Pose",

@@ -98,7 +98,7 @@ def _with(scene: "Scene", name: str, value: Any) -> "Scene":
     if group == "rig":
         return replace(scene, rig=_placed(scene.rig, _moved(scene.rig.pose, rest, value)))
     if group == "sun":
-        return replace(scene, sun=replace(scene.sun, **{rest: value}))
+        return replace(scene, sun=replace(scene.sun, **{rest: value}, clear_sky_share=None))
     which, _, what = rest.rpartition(".")
     items: tuple[Any, ...] = getattr(scene, group)
     if which != "*" and which not in {item.name for item in items}:

@@ -6,9 +6,9 @@ import numpy as np
 
 from twin.geometry import Geometry
 from twin.scene.mitsuba import first_hits
-from twin.scene.model import Sun
 from twin.scene.objects import Array, SceneObject
 from twin.scene.rig import Pose
+from twin.scene.sun import Sun
 
 _EYE_M = 1.2  # height of the sensors over the ground
 _NEAREST_M, _FARTHEST_M = 2.0, 30.0  # of what the rig looks at

@@ -1,6 +1,5 @@
 """A scene: its objects, the rig, the sun, true targets."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,40 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.described import Described
-from hardware.formatting import number, quantity_text
 from twin.files import InputError
 from twin.motion import Product, Still
-from twin.scene.limits import BRIGHTEST_LX, LATEST_S, check
+from twin.scene.limits import LATEST_S, check
 from twin.scene.materials import Material
 from twin.scene.objects import IN_PLACE, SceneObject, Target
 from twin.scene.rig import Pose, Rig, Track
+from twin.scene.sun import Sun
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Sun:
-    """Direction to the sun in world axes, and illuminance on a plane normal to it."""
-
-    azimuth_deg: float
-    elevation_deg: float
-    illuminance_lx: float
-
-    def __post_init__(self) -> None:
-        check("sun.azimuth_deg", self.azimuth_deg)
-        check("sun.elevation_deg", self.elevation_deg, -90.0, 90.0)
-        check("sun.illuminance_lx", self.illuminance_lx, 0.0, BRIGHTEST_LX)
-
-    def __str__(self) -> str:
-        turn = f"azimuth {number(self.azimuth_deg)} deg, elevation {number(self.elevation_deg)} deg"
-        return f"{turn}, {quantity_text(self.illuminance_lx, 'lx')}"
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector towards the sun."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        flat = math.cos(elevation)
-        return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,10 +82,11 @@ class Scene(Described):
         return replace(self, rig=replace(self.rig, pose=pose, motion=None))
 
     def after(self, seconds: float) -> "Scene":
-        """The same scene later: all that moves has moved and turned, the rig on its trajectory too.
+        """The same scene later: all that moves has moved and turned, the rig on its trajectory and
+        the sun in the sky too.
 
-        A rig without one stands where it stood. Raises InputError for a time that a trajectory does
-        not cover.
+        A rig without a trajectory stands where it stood. Raises InputError for a time that a
+        trajectory does not cover.
         """
         check("after", seconds, -LATEST_S, LATEST_S)
         if seconds == 0:
@@ -131,6 +106,7 @@ class Scene(Described):
         return replace(
             self,
             rig=self.rig.after(seconds),
+            sun=self.sun.after(seconds),
             objects=objects,
             targets=tuple(
                 t.carried(*carriers[t.object]) if t.object in carriers else t.after(seconds)
@@ -140,7 +116,7 @@ class Scene(Described):
 
     @property
     def at_rest(self) -> bool:
-        """Whether nothing moves but the rig."""
+        """Whether nothing moves but the rig and the sun."""
         velocities = [t.velocity_m_per_s for t in self.targets]
         return not (np.any(velocities) or any(item.moves for item in self.objects))
 

@@ -9,10 +9,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from twin.files import InputError
 from twin.scene.limits import BRIGHTEST_LX, FASTEST_M_PER_S
-from twin.scene.model import Sun
 from twin.scene.motion_settings import MotionSettings
 from twin.scene.objects import RadarRole, Target
 from twin.scene.rig import Pose, Rig, Track
+from twin.scene.sun import Sun
 from twin.toml import Count, Finite, NonNegative, Positive, Strict, describe, read_toml
 
 Vector = tuple[Finite, Finite, Finite]
@@ -95,6 +95,16 @@ class _Sun(Strict):
     """Of the direction to the sun, above the horizon."""
     illuminance_lx: Annotated[NonNegative, Field(le=BRIGHTEST_LX)]
     """On a plane normal to the sun; a system's `sky` takes its place."""
+    latitude_deg: Annotated[Finite, Field(ge=-90, le=90)] | None = None
+    """Of the scene on the earth, positive north. With it the sun moves by 15 degrees an hour, from
+    where it is given on, and brightens and darkens with its elevation in a clear sky. Default: it
+    stands still.
+    """
+    north_azimuth_deg: Finite | None = None
+    """Of true north in the scene, from x towards y; belongs to `latitude_deg`."""
+
+    def sun(self) -> Sun:
+        return Sun(**self.model_dump())
 
 
 class _Object(Strict):
@@ -184,7 +194,7 @@ class SceneSettings(Strict):
     def make_sun(self) -> Sun | None:
         """The sun; None where nothing says it."""
         at = self.sun
-        return None if at is None else Sun(at.azimuth_deg, at.elevation_deg, at.illuminance_lx)
+        return None if at is None else at.sun()
 
     def velocity(self, name: str | None) -> Vector:
         """Velocity of an object, as given; zero unless it is named."""

@@ -175,7 +175,7 @@ def serve_camera(
     fault_chances, design = parse_faults(faults, CameraFaults), load_system(system)
     if settings is not None:
         write_settings(settings_of(design), settings)
-    if moves(scene):
+    if moves(scene) or scene.sun.moves:
         MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
         ahead = FramesOfRuns()
 

@@ -92,7 +92,7 @@ def _camera(
     scene: Scene, system: System, seed: int, fidelity: Accuracy | None
 ) -> Iterator[SpiRecord]:
     """Records of a camera: its first frame is computed before this returns."""
-    if not moves(scene):
+    if not (moves(scene) or scene.sun.moves):
         light = still_light(scene, system, seed=seed, fidelity=fidelity)
         return stills(scene, system, seed=seed, fidelity=fidelity, lit=light)
     frames = MovingFrames(scene, system, seed, fidelity)
