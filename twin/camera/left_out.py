@@ -62,5 +62,6 @@ def lie_in_a_plane(vertices_m: Iterable[Array]) -> bool:
     together = np.concatenate([np.zeros((0, 3)), *vertices_m])
     if len(together) < 4:
         return True
-    extents = np.linalg.svd(together - together.mean(axis=0), compute_uv=False)
-    return bool(extents[-1] <= _FLAT * extents[0])
+    away = together - together.mean(axis=0)
+    squares = np.linalg.eigvalsh(away.T @ away)
+    return bool(squares[0] <= _FLAT**2 * squares[-1])

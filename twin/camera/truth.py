@@ -32,7 +32,7 @@ class Truth(Described):
 def render_truth(scene: Any, camera: Device, shape: tuple[int, int]) -> Truth:
     """Albedo and depth in the field of a camera."""
     ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], _ALBEDO_SAMPLES))
-    hit = scene.ray_intersect(ray)
+    hit = scene.ray_intersect(ray, mitsuba().RayFlags.All, coherent=True)
     albedo = np.array(dr.select(hit.is_valid(), reflectance(hit), 0.0), dtype=np.float64)
     return Truth(
         albedo.reshape(*shape, _ALBEDO_SAMPLES).mean(axis=-1), depths(scene, camera, shape)
@@ -51,7 +51,7 @@ def depths(
     ray, cos = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
     if instants is not None:
         ray.time = mitsuba().Float(instants.astype(np.float32))
-    hit = scene.ray_intersect(ray)
+    hit = scene.ray_intersect(ray, mitsuba().RayFlags.All, coherent=True)
     is_hit = hit.is_valid()
     dr.eval(is_hit, hit.t, cos)  # in one go, else rays are traced for each
     depth = np.array(hit.t, dtype=np.float64) * np.array(cos, dtype=np.float64)
@@ -61,7 +61,7 @@ def depths(
 def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Mean albedo of each cell by object, (n_objects, rows, columns): their sum is the albedo."""
     ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], _ALBEDO_SAMPLES))
-    hit = scene.ray_intersect(ray)
+    hit = scene.ray_intersect(ray, mitsuba().RayFlags.All, coherent=True)
     met = dr.select(hit.is_valid(), reflectance(hit), 0.0)
     dr.eval(met, hit.shape)  # in one go, else rays are traced for each
     albedo = np.array(met, dtype=np.float64)
@@ -77,7 +77,7 @@ def object_shares(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray
 def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Cosine of the angle of incidence in the middle of each cell, 0 where there is no surface."""
     ray, _ = primary_rays(CellGrid(camera, *shape), RowRays(0, shape[0], 1))
-    hit = scene.ray_intersect(ray)
+    hit = scene.ray_intersect(ray, mitsuba().RayFlags.All, coherent=True)
     cosine = dr.select(hit.is_valid(), dr.abs(dr.dot(ray.d, hit.n)), 0.0)
     return np.array(cosine, dtype=np.float64).reshape(shape)
 

@@ -11,6 +11,9 @@ _TOUCH_M = 1e-7
 
 def touches(item: SceneObject, point_m: Array) -> bool:
     """Whether a point lies in one of an object's triangles, to a tenth of a micrometre."""
+    low, high = item.vertices_m.min(axis=0), item.vertices_m.max(axis=0)
+    if not ((low - _TOUCH_M <= point_m) & (point_m <= high + _TOUCH_M)).all():
+        return False
     from trimesh.triangles import closest_point
 
     corners = item.vertices_m[item.geometry.faces] - point_m
