@@ -23,6 +23,7 @@ from twin.camera.model_error import NO_ERROR, ModelError, model_error, side_by_s
 from twin.camera.moving_frame import FrameLight
 from twin.camera.noise_draws import NoiseDraws
 from twin.camera.rendered import RenderedLight
+from twin.camera.sun_in_frame import sun_warnings
 from twin.camera.truth import Truth
 from twin.camera.verdict import (
     ImageVerdict,
@@ -261,6 +262,7 @@ def measure(
         *rendered.warnings,
         *(CaptureWarning("tolerance", text) for text in missed_effects(decisions)),
         *of_motion,
+        *sun_warnings(scene, system),
     )
     return Capture(
         record=record,

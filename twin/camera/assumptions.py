@@ -31,7 +31,8 @@ MOVING_ASSUMPTION = "the truth of a frame in which things move is that of its mi
 #: Of a sun that moves, and of its brightness where the system has a sky.
 SUN_MOVES_ASSUMPTION = (
     "sun: turns about the pole of the sky by 15 degrees an hour, without refraction and the course "
-    "of the year, and stands still during a frame"
+    "of the year, and stands still during a frame; of the scene's own one the spectrum is that of "
+    "a clear sky at its elevation"
 )
 SKY_STAYS_ASSUMPTION = "sun: as bright as the system's sky says until it sets"
 

@@ -62,6 +62,20 @@ class Powers:
         return lit[:, None, None]
 
 
+def _sky(system: System, sun: Sun) -> Passband:
+    """Of the system's own sky, or else the scene's sun: of one that moves the spectrum is that of
+    its elevation.
+    """
+    if system.sky and not sun.has_set:
+        return passband(system, system.sky)
+    if sun.moves:
+        low = Sourced(value=sun.elevation_deg, source="scene.toml")
+        return passband(system, Sky(sun_elevation_deg=low), sun.share)
+    return passband(
+        system, Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Lens, filter under a sky, shutters, detector and amplifier of a system."""
@@ -82,12 +96,11 @@ class Chain:
         """
         if detector is None and (given := system.detector.function) is not None:
             detector = made_by("detector.function", given.value, system, Detector)
-        own = Sky(illuminance_lx=Sourced(value=sun.illuminance_lx, source="scene.toml"))
         responsivity = responsivity_a_per_w(system.detector, system.emitter, system.filter)
         return cls(
             system=system,
             lens=collection(system),
-            sky=passband(system, own if sun.has_set else system.sky or own),
+            sky=_sky(system, sun),
             shutters=shutters(system),
             front_end=FrontEnd.of(system, responsivity)
             if detector is None

@@ -9,6 +9,7 @@ from twin.camera.chain import Chain
 from twin.camera.light import render
 from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.rendered import RenderedLight
+from twin.camera.sun_in_frame import sun_of_frame
 from twin.detector import Detector
 from twin.fidelity import Fidelity
 from twin.progress import OpenStage, silently
@@ -22,6 +23,7 @@ class LitFrame:
 
     ``scene`` and ``rendered``: of the frame's middle where things move in it, and ``motion`` is
     then the light of each exposure; of the scene as it is given where nothing moves, or is not to.
+    The sun is that of the middle in any case, and stands still.
     """
 
     scene: Scene
@@ -43,9 +45,9 @@ def lit_frame(
 
     Raises InputError for a trajectory that ends before the frame does.
     """
+    scene = sun_of_frame(scene, system)
     world, seen = world_in_motion(scene, system, fidelity), scene
     if world is not None:
-        # The sun, which moves 0.004 degrees in a second, stands still in a frame.
         seen, mesh_scene = replace(scene.after(world.duration_s / 2), sun=scene.sun), None
     rendered = render(
         seen, system, fidelity=fidelity, seed=seed, mesh_scene=mesh_scene, stage=stage

@@ -1,7 +1,7 @@
 """Emitter's line and sunlight behind the filter at each angle of the field."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -39,8 +39,8 @@ class Passband:
         return np.interp(angle_deg, self.angles_deg, self.sun_w_per_m2)
 
 
-def passband(system: System, sky: Sky) -> Passband:
-    """Integrate a system's spectra over its filter.
+def passband(system: System, sky: Sky, share: float = 1.0) -> Passband:
+    """Integrate a system's spectra over its filter, with a share of the sky's sun.
 
     In front of the lens the angle of incidence on the filter is that of the field. Behind the lens
     every point of the field illuminates the filter with the same cone, up to sin = 1 / (2 N) as for
@@ -50,7 +50,14 @@ def passband(system: System, sky: Sky) -> Passband:
     half_field_deg = optics.field_of_view_deg.value / 2
     content = curves(system.emitter.spectrum_csv, system.filter.transmission_csv)
     f_number = optics.f_number.value
-    return _passband_of(system.emitter, system.filter, sky, f_number, half_field_deg, content)
+    whole = _passband_of(system.emitter, system.filter, sky, f_number, half_field_deg, content)
+    if share == 1:
+        return whole
+    return replace(
+        whole,
+        sun_w_per_m2=share * whole.sun_w_per_m2,
+        illuminance_lx=share * whole.illuminance_lx,
+    )
 
 
 @lru_cache(maxsize=256)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from twin.scene.model import Scene
     from twin.scene.objects import SceneObject, Target
     from twin.scene.rig import Pose, Rig
+    from twin.scene.sun import Sun
 
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _OBJECT = (
@@ -33,7 +34,16 @@ _NAMED = re.compile(r"(objects|targets)\.(.+)\.(\w+)")
 #: Names that every scene has.
 SCENE_NAMES = (
     *(f"rig.{field}" for field in ("x_m", "y_m", "z_m", *_ANGLES)),
-    *(f"sun.{field}" for field in ("azimuth_deg", "elevation_deg", "illuminance_lx")),
+    *(
+        f"sun.{field}"
+        for field in (
+            "azimuth_deg",
+            "elevation_deg",
+            "illuminance_lx",
+            "latitude_deg",
+            "north_azimuth_deg",
+        )
+    ),
 )
 
 
@@ -53,9 +63,15 @@ def changed(scene: "Scene", changes: Mapping[str, Any]) -> "Scene":
     check_changes(changes)
     if not changes:
         return scene
+    of_sun: dict[str, Any] = {}
     for name, value in changes.items():
         check_scene_name(name)
-        scene = _with(scene, name, _in_unit(name, value))
+        if name.startswith("sun."):
+            of_sun[name.removeprefix("sun.")] = _in_unit(name, value)
+        else:
+            scene = _with(scene, name, _in_unit(name, value))
+    if of_sun:
+        scene = replace(scene, sun=_other_sun(scene.sun, of_sun))
     _check_extent(scene, changes)
     return replace(scene, name=changed_name(scene.name))
 
@@ -97,8 +113,6 @@ def _with(scene: "Scene", name: str, value: Any) -> "Scene":
     group, _, rest = name.partition(".")
     if group == "rig":
         return replace(scene, rig=_placed(scene.rig, _moved(scene.rig.pose, rest, value)))
-    if group == "sun":
-        return replace(scene, sun=replace(scene.sun, **{rest: value}, clear_sky_share=None))
     which, _, what = rest.rpartition(".")
     items: tuple[Any, ...] = getattr(scene, group)
     if which != "*" and which not in {item.name for item in items}:
@@ -111,6 +125,21 @@ def _with(scene: "Scene", name: str, value: Any) -> "Scene":
     items = tuple(replace(i, **{what: value}) if which in ("*", i.name) else i for i in items)
     held: dict[str, Any] = {group: items}
     return replace(scene, **held)
+
+
+def _other_sun(sun: "Sun", changes: Mapping[str, Any]) -> "Sun":
+    """A sun with other values; what changes neither its height nor its brightness leaves the sky as
+    clear as it is.
+    """
+    stops = changes.get("latitude_deg", 0) is None
+    if not stops and changes.keys().isdisjoint(("elevation_deg", "illuminance_lx")):
+        return replace(sun, **changes)
+    if sun.has_set and not stops and "illuminance_lx" not in changes:
+        raise InputError(
+            "scene.sun.elevation_deg: the sun has set, and has no illuminance: expected "
+            "sun.illuminance_lx beside it"
+        )
+    return replace(sun, **changes, clear_sky_share=None)
 
 
 def _placed(rig: "Rig", pose: "Pose") -> "Rig":

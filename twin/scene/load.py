@@ -100,6 +100,11 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         )
         if document.emitters:
             warnings.append(f"light sources of the XML are not used: {_list(document.emitters)}")
+    elif sun.elevation_deg < 0 < sun.illuminance_lx:
+        warnings.append(
+            f"the sun is {-sun.elevation_deg:g} deg below the horizon, and lights the scene from "
+            "there: a scene without light of the sun has illuminance_lx = 0"
+        )
     return Scene(
         name=path.parent.resolve().name if path.name == "scene.xml" else path.stem,
         path=path,

@@ -103,6 +103,14 @@ class _Sun(Strict):
     north_azimuth_deg: Finite | None = None
     """Of true north in the scene, from x towards y; belongs to `latitude_deg`."""
 
+    @model_validator(mode="after")
+    def _is_one(self) -> "_Sun":
+        try:
+            self.sun()
+        except InputError as error:
+            raise InputError(str(error).removeprefix("scene.")) from None
+        return self
+
     def sun(self) -> Sun:
         return Sun(**self.model_dump())
 
