@@ -168,7 +168,30 @@ def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Pat
     )
     options = ["--workers", "0", "--out", str(tmp_path / "out"), "--tolerance", "PSNR 0.1 dB"]
     found = CliRunner().invoke(app, ["sweep", str(study), *options])
-    assert "psnr_db: 1 point of 2 less exact than asked" in found.output + found.stderr
+    told = found.output + found.stderr
+    assert "score: 1 point, the first: 0.2, PSNR 0.1 dB asked, psnr_db to " in told
+    data = twin.open_sweep(tmp_path / "out")
+    np.testing.assert_array_equal(data["warned.score"], [False, True])
+    for options, is_told in (
+        (["--x", "scene.rig.x_m"], True),
+        (["--front", "psnr_db", "--csv", str(tmp_path / "front.csv")], False),
+        (["--save", str(tmp_path / "one.toml"), "--point", "1"], True),
+        (["--save", str(tmp_path / "other.toml"), "--point", "0"], False),
+    ):
+        shown = CliRunner().invoke(app, ["show", str(tmp_path / "out"), *options])
+        assert not shown.exception
+        assert ("score: 1 point: 0.2, PSNR 0.1 dB asked" in shown.output + shown.stderr) == is_told
+    rows = (tmp_path / "front.csv").read_text().splitlines()
+    assert rows[0].endswith(",warned")
+    csv = CliRunner().invoke(
+        app, ["show", str(tmp_path / "out"), "--x", "scene.rig.x_m", "--csv", str(tmp_path / "all")]
+    )
+    assert not csv.exception
+    assert [row.split(",")[-2] for row in (tmp_path / "all").read_text().splitlines()] == [
+        "warned",
+        "",
+        "score",
+    ]
 
 
 def test_rounding_that_moves_the_score_of_one_frame_is_told() -> None:

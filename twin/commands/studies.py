@@ -21,6 +21,8 @@ from twin.commands.arguments import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import xarray
     from matplotlib.figure import Figure
 
@@ -48,15 +50,20 @@ def sweep(
     A tolerance, fidelity or time given here takes the place of the tolerance or preset that the
     study sets; knobs that the study names stay.
     """
-    from twin.sweep import load_study, open_sweep, run_sweep
-    from twin.sweep.dataset import less_exact
+    from twin.sweep import load_study, run_sweep
 
     plan = load_study(study)
     accuracy = _accuracy_asked(
         say, plan, out, fidelity=fidelity, tolerance=tolerance, within=within
     )
     done = run_sweep(
-        plan, out=out, scheduler=scheduler, workers=workers, yes=yes, fidelity=accuracy
+        plan,
+        out=out,
+        scheduler=scheduler,
+        workers=workers,
+        yes=yes,
+        fidelity=accuracy,
+        scores=scores_asked(tolerance),
     )
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
@@ -74,9 +81,6 @@ def sweep(
         without_effect=done.without_effect,
         reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
     )
-    if scores := scores_asked(tolerance):
-        for text in less_exact(open_sweep(done.out), scores):
-            say.warn(f"tolerance {scores}: {text}")
     for kind, n in done.warned:
         say.warn(f"{kind}: {counted(n, 'point')}, the first: {done.words[kind]}")
     if done.without_effect:
@@ -182,11 +186,25 @@ def show(
         out = out or sweep / f"{drawn}.png"
         figure.savefig(out, dpi=150)
         say.written(out)
+    if front is None and point is None:
+        _tell_warned(say, data)
     if csv is not None and front is None:
         write_rows(all_points(data, void=void), csv)
         say.written(csv)
     if save is not None:
         _save_design(say, sweep, data, metric, point, void=void, path=save)
+
+
+def _tell_warned(
+    say: Output, data: "xarray.Dataset", points: "Sequence[int] | None" = None
+) -> None:
+    """Warnings that were given of some points, or of any."""
+    from twin.sweep.dataset import warned_points
+
+    for one in warned_points(data):
+        some = one if points is None else one.of(points)
+        if some.points:
+            say.warn(f"{one.kind}: {counted(len(some.points), 'point')}: {one.words}")
 
 
 def _tell_sensitivities(
@@ -228,6 +246,7 @@ def _save_design(
     check_point(data, point)
     if is_coarse(data, point):
         say.warn(f"point {point}: was computed to a coarse tolerance alone; see its errors")
+    _tell_warned(say, data, [point])
     found = chosen(sweep, point, path)
     write_chosen(found)
     for file in found.files:
@@ -261,6 +280,7 @@ def _tell_front(
     console_of(say).print(table)
     say.verdict(designs.verdict)
     say.add(metrics=[metric, second], verdict=designs.verdict, designs=designs.rows)
+    _tell_warned(say, data, [row["point"] for row in designs.rows])
     if csv is not None:
         write_rows(designs.rows, csv, designs.heads)
         say.written(csv)

@@ -1,13 +1,13 @@
 """Results of a sweep, labelled: metrics over the study's dimensions, with what was said of them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.formatting import counted, number
+from hardware.formatting import number
 from hardware.units import unit_of
 from twin.accuracy.interval import half_width as half_width_of
 from twin.fidelity import Tolerance
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Of the columns that say what points are worth nothing.
 VOID = {"camera": "void", "radar": "radar_void"}
+#: With its kind after it, of columns that say which points a warning was given of.
+WARNED = "warned."
 #: Of a study with a front: points that were computed to a coarse tolerance alone.
 COARSE = "coarse"
 
@@ -33,6 +35,7 @@ class Progress:
     ``errors``: why points failed. ``warned``: by kind, points that a warning was given of, and in
     ``words`` the first of them. ``void``: by ``camera`` and ``radar``, points whose record is void.
     ``refined``: points that were computed anew as finely as asked, after a first coarse pass.
+    ``scores``: what light was chosen for, as `Tolerance.of` reads it, or empty.
     """
 
     points_done: int = 0
@@ -42,6 +45,7 @@ class Progress:
     words: dict[str, str] = field(default_factory=dict)
     void: dict[str, list[int]] = field(default_factory=dict)
     refined: set[int] = field(default_factory=set)
+    scores: str = ""
 
     def forget(self, points: Iterable[int]) -> None:
         """What was said of points that are computed anew."""
@@ -87,7 +91,8 @@ def dataset(
     ``METRIC.standard_error`` and ``METRIC.systematic``: what the model may be off by;
     ``METRIC.noise``: what draws of the sensor's noise scatter by; a closed form has none.
     ``void`` and ``radar_void`` mark points whose record holds nothing that the metric could be of,
-    ``warned.KIND`` those that a warning of that kind was given of. Where the study's points are
+    ``warned.KIND`` those that a warning of that kind was given of, ``warned.score`` those whose
+    scores are less exact than asked. Where the study's points are
     computed to a coarse tolerance first, ``coarse`` marks those that were left at it.
     """
     import xarray
@@ -128,7 +133,7 @@ def dataset(
         if not points:
             continue
         marks = {"long_name": f"warned: {kind}", "first": progress.words[kind]}
-        data[f"warned.{kind}"] = (names, marked(points), marks)
+        data[WARNED + kind] = (names, marked(points), marks)
     coords = {}
     for axis in study.axes:
         for name, column in axis.columns.items():
@@ -145,7 +150,13 @@ def dataset(
     }
     if COARSE in data:
         counts["points_coarse"] = progress.points_done - len(progress.refined)
-    return xarray.Dataset(data, coords, attrs={**attributes, **counts})
+    found = xarray.Dataset(data, coords, attrs={**attributes, **counts})
+    if progress.scores:
+        over, text = _less_exact(found, Tolerance.of(progress.scores))
+        if over.any():
+            marks = {"long_name": "less exact than asked", "first": text}
+            found[f"{WARNED}score"] = (names, over.reshape(shape), marks)
+    return found
 
 
 def _void_columns(study: Study, metric: str) -> list[str]:
@@ -163,7 +174,7 @@ def metrics_of(data: "xarray.Dataset") -> list[str]:
     return [
         name
         for name in map(str, data.data_vars)
-        if name not in beside and not name.startswith("warned.") and error_of(name) is None
+        if name not in beside and not name.startswith(WARNED) and error_of(name) is None
     ]
 
 
@@ -181,25 +192,50 @@ def half_width(
     return half_width_of(**{"noise": 0.0, **{kind: data[f"{metric}.{kind}"] for kind in kinds}})
 
 
-def less_exact(data: "xarray.Dataset", tolerance: Tolerance) -> Iterator[str]:
-    """Scores that points know to less than asked, in words: light was chosen for the first point.
-    Those left at a coarse tolerance do not count.
+@dataclass(frozen=True)
+class Warned:
+    """Of points, by number, that a warning of one kind was given of, and what it says of the first;
+    of ``score`` what holds of all.
     """
-    for name, limit in (("psnr_db", tolerance.psnr_db), ("ssim", tolerance.ssim)):
+
+    kind: str
+    points: tuple[int, ...]
+    words: str
+
+    def of(self, points: Iterable[int]) -> "Warned":
+        """Of some points alone."""
+        some = set(points)
+        return Warned(self.kind, tuple(i for i in self.points if i in some), self.words)
+
+
+def warned_points(data: "xarray.Dataset") -> list[Warned]:
+    """All kinds of warnings that were given of a sweep's points."""
+    found = []
+    for name in map(str, data.data_vars):
+        if name.startswith(WARNED):
+            points = np.flatnonzero(data[name].to_numpy().ravel()).tolist()
+            told = Warned(name.removeprefix(WARNED), tuple(points), data[name].attrs["first"])
+            found.append(told)
+    return found
+
+
+def _less_exact(data: "xarray.Dataset", scores: Tolerance) -> tuple[NDArray[np.bool_], str]:
+    """Points that know a score to less than asked, and that in words: light was chosen for the
+    first point. Those left at a coarse tolerance do not count.
+    """
+    marked, told = np.zeros(data["error"].size, np.bool_), []
+    asked = ~data[COARSE].to_numpy().ravel() if COARSE in data else ~marked
+    for name, limit in (("psnr_db", scores.psnr_db), ("ssim", scores.ssim)):
         if limit is None or name not in metrics_of(data):
             continue
         width = half_width(data, name, of_model=True)
         assert width is not None  # of a rendered study
         widths = width.to_numpy().ravel()
-        if COARSE in data:
-            widths = widths[~data[COARSE].to_numpy().ravel()]
-        over = widths > limit
+        over = asked & (widths > limit)
+        marked |= over
         if over.any():
-            yield (
-                f"{name}: {counted(int(over.sum()), 'point')} of {len(widths)} less exact than "
-                f"asked, {number(float(widths[over].max()), 2)} at worst: light was chosen for "
-                "the first point"
-            )
+            told.append(f"{name} to {number(float(widths[over].max()), 2)} at worst")
+    return marked, f"{scores} asked, {', '.join(told)}: light was chosen for the first point"
 
 
 def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarray.DataArray":

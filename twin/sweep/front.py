@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
-from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of
+from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of, warned_points
 from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ class FrontDesigns:
         Names.
     rows
         Of each design its ``point``, parameters, metrics, and ``METRIC.half_width`` of the interval
-        (`twin.accuracy.Interval`), NaN where the sweep has none.
+        (`twin.accuracy.Interval`), NaN where the sweep has none; and kinds of warnings that were
+        given of it, as ``warned``.
     units
         Of the metrics.
     n_points
@@ -66,7 +67,11 @@ class FrontDesigns:
     @property
     def heads(self) -> tuple[str, ...]:
         """Of the table's columns."""
-        return ("point", *self.parameters, *self.metrics)
+        return ("point", *self.parameters, *self.metrics, *(["warned"] if self._is_warned else []))
+
+    @property
+    def _is_warned(self) -> bool:
+        return any(row["warned"] for row in self.rows)
 
     @property
     def cells(self) -> list[tuple[str, ...]]:
@@ -79,6 +84,7 @@ class FrontDesigns:
                     _figure(row[name], row[f"{name}.half_width"], self.units[name])
                     for name in self.metrics
                 ),
+                *([row["warned"]] if self._is_warned else []),
             )
             for row in self.rows
         ]
@@ -126,7 +132,7 @@ def write_rows(rows: list[dict[str, Any]], path: Path, heads: Sequence[str] = ()
 def _rows(
     data: "xarray.Dataset", metrics: Sequence[str], points: NDArray[np.intp], *, void: bool
 ) -> list[dict[str, Any]]:
-    """Number, parameters, metrics and half-widths of their intervals of some points."""
+    """Number, parameters, metrics, half-widths of their intervals and warnings of some points."""
     like = data[metrics[0]]
     found: dict[str, list[Any]] = {"point": points.tolist()}
     for name in _parameters(data):
@@ -139,6 +145,10 @@ def _rows(
         width = half_width(data, name)
         known = np.full(like.size, np.nan) if width is None else width.to_numpy().ravel()
         found[f"{name}.half_width"] = known[points].tolist()
+    kinds = [one for one in warned_points(data) if one.points]
+    found["warned"] = [
+        " ".join(one.kind for one in kinds if point in one.points) for point in points.tolist()
+    ]
     return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
 
 

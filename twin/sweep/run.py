@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from twin.fidelity import Accuracy
+from twin.fidelity import Accuracy, Tolerance
 from twin.files import InputError, locked
 from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
-from twin.sweep.dataset import labels
+from twin.sweep.dataset import labels, warned_points
 from twin.sweep.effects import check_points, without_effect
 from twin.sweep.evaluate import Chunk, evaluate_points, failed, joined
 from twin.sweep.inputs import Inputs, inputs_of
@@ -64,6 +64,7 @@ def run_sweep(
     workers: int | None = None,
     yes: bool = False,
     fidelity: Accuracy | None = None,
+    scores: Tolerance | None = None,
 ) -> Summary:
     """Run a study, or what is left of it.
 
@@ -85,6 +86,9 @@ def run_sweep(
         Error that the model may add, a preset's name, or knobs, in place of the preset or tolerance
         that the study sets; knobs that the study sets or varies stay. Default: the study's; where
         it names neither these nor knobs, the default `Tolerance`.
+    scores
+        What ``fidelity`` was chosen for on the first point, by `twin.fidelity_for_scores`: points
+        that know these scores to less are marked and warned of.
 
     Raises InputError for a study that can't be run, a folder of another one, of the same at another
     accuracy, or in which another sweep works, a full disk.
@@ -115,6 +119,7 @@ def run_sweep(
     chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
     with locked(out, "sweep"):
         store = create_or_resume(study, out, chunk, inputs, labels(study, own))
+        store.chosen_for("" if scores is None else str(scores))
         if any(True for _ in chain(store.todo(), store.to_refine())):
             local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)
@@ -140,6 +145,7 @@ def folder_of(study: Study, out: str | Path | None) -> Path:
 
 def _summary(store: Store) -> Summary:
     found, progress = store.dataset(), store.progress
+    warned = sorted(warned_points(found), key=lambda one: one.kind)
     return Summary(
         out=store.out,
         n_points=store.study.n_points,
@@ -147,8 +153,8 @@ def _summary(store: Store) -> Summary:
         n_void=found.attrs["points_void"],
         renders=progress.renders,
         reasons=tuple(Counter(progress.errors.values()).most_common()),
-        warned=tuple((kind, len(points)) for kind, points in sorted(progress.warned.items())),
-        words=dict(progress.words),
+        warned=tuple((one.kind, len(one.points)) for one in warned),
+        words={one.kind: one.words for one in warned},
         without_effect=tuple(without_effect(found)),
         n_coarse=found.attrs.get("points_coarse"),
     )

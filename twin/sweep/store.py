@@ -2,7 +2,8 @@
 
 While a sweep runs, ``points/COLUMN.npy`` (metrics and their errors) hold one number per point and
 ``journal.jsonl`` one line per finished run of points, appended after its numbers are written; and,
-before points are computed anew, to a finer tolerance, a line that says which.
+before points are computed anew, to a finer tolerance, a line that says which; and one that says for
+which scores light was chosen.
 Finished, ``results.zarr`` is the labelled dataset. ``study.json`` says what the points are of: the
 study, versions of the libraries, digests of all inputs.
 """
@@ -47,7 +48,7 @@ _MOST_DIFFERENCES = 4
 _UNSET = "(not set)"
 #: Keys of the journal's lines, one set for each kind of line.
 _TOLD = {"renders", "errors", "warnings", "void"}
-_ENTRIES = ({"refine"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
+_ENTRIES = ({"scores"}, {"refine"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
 
 
 class Store:
@@ -80,6 +81,9 @@ class Store:
                     self._note(entry)
 
     def _note(self, entry: dict[str, Any]) -> None:
+        if "scores" in entry:
+            self.progress.scores = entry["scores"]
+            return
         if "refine" in entry:
             self._to_refine |= set(entry["refine"])
             return
@@ -98,6 +102,11 @@ class Store:
             self.progress.words.setdefault(kind, found["first"])
         for side, points in entry["void"].items():
             self.progress.void.setdefault(side, []).extend(points)
+
+    def chosen_for(self, scores: str) -> None:
+        """Note for which scores light was chosen; empty for none."""
+        if scores != self.progress.scores:
+            self._append({"scores": scores})
 
     def todo(self) -> Iterator[Points]:
         """Runs of points that are not done."""
