@@ -8,12 +8,15 @@ import pytest
 
 from tests.physics.moving_worlds import plate, small, world
 from twin.camera import capture
-from twin.camera.intervals import background_interval
+from twin.camera.intervals import background_interval, noise_interval, sun_power_interval
 from twin.camera.left_out import bounces_share, typical_reflectance
-from twin.fidelity import PRESETS
+from twin.camera.light import render
+from twin.camera.reflectance_rescaling import render_unit_reflectance
+from twin.fidelity import PRESETS, Fidelity
 from twin.geometry import Geometry
-from twin.scene import SceneObject, Sun
+from twin.scene import SceneObject, Sun, load_scene
 from twin.scene.texture import Texture
+from twin.system import load_system
 
 
 def wall(name: str, y: float, inward: int) -> SceneObject:
@@ -56,3 +59,27 @@ def test_sunlight_by_two_bright_walls_beside_the_field_is_within_what_is_stated(
     off = abs(cut.value - whole.value)
     assert off > 0.02 * whole.value
     assert off < cut.of_model.half_width + whole.of_model.half_width
+
+
+def test_sun_that_no_path_met_is_not_none_at_all() -> None:
+    """From behind the patches only light off the ground behind the rig reaches them: four paths of
+    a part miss it, and the interval says what they may miss.
+    """
+    scene = load_scene("table1")
+    behind = scene.with_({"sun.azimuth_deg": scene.sun.azimuth_deg + 180})
+    small = {"emitter.rows": 16, "emitter.columns": 16, "acquisition.n_patterns": 256}
+    system = load_system("workable").with_({**small, "sky": None})
+    finest = Fidelity(samples=4096, max_depth=12)
+    truth_w = capture(behind, system, seed=2, fidelity=finest).background_w
+    assert truth_w > 0
+    draft = capture(behind, system, seed=1, fidelity=PRESETS["draft"])
+    assert draft.background_w == 0
+    sun, noise = sun_power_interval(draft), noise_interval(draft)
+    assert sun.systematic > truth_w
+    assert noise.holds(capture(behind, system, seed=1, fidelity=finest).noise.total_noise_e)
+    swept = render_unit_reflectance(
+        behind, system, fidelity=PRESETS["draft"], seed=np.random.SeedSequence(1)
+    ).rescaled(behind)
+    rendered = render(behind, system, fidelity=PRESETS["draft"], seed=np.random.SeedSequence(1))
+    assert not swept.sun.any()
+    np.testing.assert_allclose(rendered.sun_left_out, swept.sun_left_out)

@@ -19,6 +19,10 @@ from twin.system import System
 Array = NDArray[np.float64]
 #: Of the field's height, and of its width for a bucket.
 SUN_PARTS = 32
+#: Radiance per irradiance of the sun that a surface has at most, with light of ten bounces.
+SUNLIT = 10 / math.pi
+#: Number of paths that would meet what all of them miss in 5 of 100 cases.
+MISSED = 3.0
 #: Standard deviation of the window over which variances of a line sensor are taken together.
 _WINDOW_CELLS = 1.5
 
@@ -97,6 +101,12 @@ def sun_light(
     columns are those of a line sensor.
     """
     return sunlight(problem, shape, quality=quality, seed=seed)
+
+
+def unseen_sun(problem: LightProblem, shape: tuple[int, int], quality: TracingQuality) -> float:
+    """Bound of each part of the sun's light where no path met any of it."""
+    paths = shape[0] * shape[1] * quality.samples
+    return MISSED * SUNLIT * problem.from_sun(shape, quality, 0).largest_weight / paths
 
 
 def sun_shape(system: System) -> tuple[int, int]:

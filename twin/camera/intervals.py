@@ -179,14 +179,17 @@ def signal_power_interval(capture: Capture) -> Interval:
 
 def background_interval(capture: Capture) -> Interval:
     """Sun in one exposure, electrons."""
-    error = capture.model_error
-    return _relative(capture.noise.background_e, error.background, error.background_systematic)
+    of_power, error = sun_power_interval(capture), capture.model_error
+    each = error.electrons_per_watt
+    return Interval(
+        capture.noise.background_e, each * of_power.standard_error, each * of_power.systematic
+    )
 
 
 def sun_power_interval(capture: Capture) -> Interval:
     """Sun on a detector, W."""
     error = capture.model_error
-    return _relative(capture.background_w, error.background, error.background_systematic)
+    return Interval(capture.background_w, error.background_w, error.background_systematic_w)
 
 
 def noise_interval(capture: Capture) -> Interval:

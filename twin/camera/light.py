@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twin.camera.air import airlight_of, backscatter_of, where_air_scatters
 from twin.camera.chain import Chain
 from twin.camera.effects import decisions_on_effects
-from twin.camera.equal_paths import sun_light, sun_shape, with_light
+from twin.camera.equal_paths import sun_light, sun_shape, unseen_sun, with_light
 from twin.camera.left_out import (
     bounces_share,
     lie_in_a_plane,
@@ -209,6 +209,9 @@ def render_light(
         else:
             sun = sun_light(sun_problem, sun_shape(system), quality=sun_quality, seed=second)
             rendered = replace(rendered, sun=sun.total, sun_error=sun.standard_error)
+            if not sun.total.any():
+                missed = unseen_sun(sun_problem, sun_shape(system), sun_quality)
+                rendered = replace(rendered, sun_left_out=missed)
         direct = direct_sunlight(sun_problem, rendered.sun.shape)
         rendered = replace(rendered, sun=rendered.sun + direct)
         if problem.air:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.chain import Chain
-from twin.camera.equal_paths import sun_shape
+from twin.camera.equal_paths import SUNLIT, sun_shape
 from twin.camera.exposure_noise import lit_share
 from twin.camera.frozen import CountChange
 from twin.camera.light_at_instants import LightAtInstants, finest_s
-from twin.camera.light_within import INDIRECT, SUN_INDIRECT, SUNLIT
+from twin.camera.light_within import INDIRECT, SUN_INDIRECT
 from twin.camera.motion import WorldInMotion
 from twin.camera.mounting import light_problem, with_near_pupil
 from twin.camera.permitted_error import PermittedError

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.chain import Chain
-from twin.camera.equal_paths import of_bucket, sun_shape, with_light
+from twin.camera.equal_paths import MISSED, SUNLIT, of_bucket, sun_shape, with_light
 from twin.camera.permitted_error import SUN_SHARE, PermittedError
 from twin.camera.render_warnings import sun_warnings, tolerance_warnings
 from twin.camera.rendered import RenderedLight
@@ -19,10 +19,6 @@ from twin.optics.problem import LightProblem
 Array = NDArray[np.float64]
 #: Effects that a decision is about.
 INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its shot noise"
-#: Radiance per irradiance of the sun that a surface has at most, with light of ten bounces.
-SUNLIT = 10 / math.pi
-#: Number of paths that would meet what all of them miss in 5 of 100 cases.
-_MISSED = 3.0
 #: Paths of a cell where all cells have the same number: to begin with, and at most with the usual
 #: number of rays.
 FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
@@ -167,7 +163,7 @@ def with_sun_within(
     indirect = largest_indirect * math.sqrt(parts)
     # Where no path met the sun, as many that what all of them miss is too little to matter.
     least = float(permitted.sun_error(np.zeros(shape), largest).min(initial=math.inf))
-    paths = _MISSED * rendered.sun.size * largest / least if least else math.inf
+    paths = MISSED * rendered.sun.size * largest / least if least else math.inf
     found = gather_within(
         tracer, limit, largest_indirect=indirect, in_the_dark=paths, ray_share=_OF_SUN
     )
@@ -184,7 +180,7 @@ def with_sun_within(
         rendered,
         sun=found.light.total,
         sun_error=found.light.standard_error,
-        sun_left_out=_MISSED * largest * found.unseen
+        sun_left_out=MISSED * largest * found.unseen
         + (0.0 if found.indirect_taken else largest_indirect),
         warnings=(*rendered.warnings, *sun_warnings(over)),
         decisions=(*rendered.decisions, decision),

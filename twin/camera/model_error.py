@@ -25,26 +25,28 @@ class ModelError:
     """Errors of a capture, beside those of its cells.
 
     ``noise``, ``noise_systematic`` (rows, columns): of the noise of each cell, relative; the same
-    for all cells of a detector, since it is that of all light together. ``signal``,
-    ``signal_systematic``, ``background`` and ``background_systematic``: of the mean signal and of
-    the sun's light, relative. ``scatter``: root mean square of what light is off by from exposure
-    to exposure, over their noise; of motion that is taken as still a bound, where it is above 1.
-    ``of_exposures``: of cells in the exposures, electrons, (rows, columns), where their light is
-    of other paths than the truth; None where it is the same.
+    for all cells of a detector, since it is that of all light together. ``signal`` and
+    ``signal_systematic``: of the mean signal, relative. ``background_w`` and
+    ``background_systematic_w``: of the sun's light on a detector, W, of which one gives
+    ``electrons_per_watt`` in an exposure. ``scatter``: root mean square of what light is off by
+    from exposure to exposure, over their noise; of motion that is taken as still a bound, where it
+    is above 1. ``of_exposures``: of cells in the exposures, electrons, (rows, columns), where their
+    light is of other paths than the truth; None where it is the same.
     """
 
     noise: Array
     noise_systematic: Array
     signal: float
     signal_systematic: float
-    background: float
-    background_systematic: float
+    background_w: float
+    background_systematic_w: float
+    electrons_per_watt: float
     scatter: float = 0.0
     of_exposures: Array | None = None
 
 
 #: Of a capture that is told nothing else.
-NO_ERROR = ModelError(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 0.0, 0.0, 0.0)
+NO_ERROR = ModelError(np.zeros((1, 1)), np.zeros((1, 1)), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
@@ -59,15 +61,17 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
     noise = np.hypot(by_signal * signal, by_background * background)
     noise_systematic = by_signal * signal_systematic + by_background * background_systematic
     noise_systematic += _uneven_rounding(chain, signal_w, power.sun_w)
-    ones = np.ones_like(cells_w)
-    weight, sun_weight = (_ratio(each, each.sum()) for each in (total_w, power.sun_w))
+    noise_systematic += _unseen_sun(chain, signal_w, power)
+    ones, n_detectors = np.ones_like(cells_w), len(power.sun_w)
+    weight, open_share = _ratio(total_w, total_w.sum()), float(chain.open_share.mean())
     return ModelError(
         noise=side_by_side(noise[:, None] * ones, system),
         noise_systematic=side_by_side(noise_systematic[:, None] * ones, system),
         signal=float(np.linalg.norm(weight * signal)),
         signal_systematic=float(weight @ signal_systematic),
-        background=float(np.linalg.norm(sun_weight * background)),
-        background_systematic=float(sun_weight @ background_systematic),
+        background_w=open_share * float(np.linalg.norm(power.sun_error_w)) / n_detectors,
+        background_systematic_w=open_share * float(power.sun_left_out_w.mean()),
+        electrons_per_watt=chain.noise(signal_w, np.ones(n_detectors)).background_e,
     )
 
 
@@ -88,6 +92,15 @@ def _noise_slopes(chain: Chain, signal_w: Array, sun_w: Array) -> tuple[Array, A
     here, step = log_noise(1.0, 1.0), np.log1p(_STEP)
     by_signal, by_background = log_noise(1 + _STEP, 1.0), log_noise(1.0, 1 + _STEP)
     return (by_signal - here) / step, (by_background - here) / step
+
+
+def _unseen_sun(chain: Chain, signal_w: Array, power: Powers) -> Array:
+    """Relative change of each detector's noise by sun that no path met."""
+    without, beside = (
+        np.array([budget.total_noise_e for budget in chain.noise_by_detector(signal_w, sun_w)])
+        for sun_w in (np.zeros_like(power.sun_w), power.sun_left_out_w)
+    )
+    return np.where(power.sun_w > 0, 0.0, _ratio(beside - without, without))
 
 
 def _uneven_rounding(chain: Chain, signal_w: Array, sun_w: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
-from twin.camera.equal_paths import SUN_PARTS
+from twin.camera.equal_paths import SUN_PARTS, unseen_sun
 from twin.camera.left_out import (
     bounces_share,
     lie_in_a_plane,
@@ -66,6 +66,7 @@ class UnitReflectanceLight:
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
     is_flat: bool
+    sun_unseen: float
 
     def rescaled(self, scene: Scene) -> RenderedLight:
         """The result of `render` for the reflectances of a scene of the same objects."""
@@ -92,7 +93,9 @@ class UnitReflectanceLight:
             sun_error=sun.standard_error,
             sun_left_out=np.multiply(
                 bounces, sun.total, out=np.zeros_like(sun.total), where=sun.total > 0
-            ),
+            )
+            if sun.total.any()
+            else self.sun_unseen,
             truth=Truth(albedo, self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
@@ -137,6 +140,7 @@ def render_unit_reflectance(
             undersampling_warnings(scene, emitter, shape[0] * shape[1] * fidelity.samples)
         ),
         is_flat=lie_in_a_plane(item.vertices_m for item in scene.objects),
+        sun_unseen=unseen_sun(problem, sun_parts, quality),
     )
 
 
