@@ -415,6 +415,27 @@ def test_a_world_at_rest_is_lit_by_the_sun_of_each_frame() -> None:
     assert night.counts.mean() < min(x.counts.mean() for x in (first, second, third))
 
 
+def test_what_records_are_warned_of_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By sensor and kind: how many of this call, and the first in words."""
+    bright = CAMERA.with_({"sky.illuminance_lx": 1e5})
+    done = drive(plan(scene=load_scene("table1"), system=bright), tmp_path / "bright.mcap")
+    told = {(one.sensor, one.kind): one for one in done.warned}
+    saturated = told["camera", "saturated"]
+    assert saturated.records == 3
+    assert "exposures saturate the ADC" in saturated.words
+    assert told["radar", "no-echo"].records == 3
+    again = drive(plan(scene=load_scene("table1"), system=bright), tmp_path / "bright.mcap")
+    assert again.warned == ()
+    system = tmp_path / "bright.toml"
+    system.write_text('base = "workable"\n[sky]\nilluminance_lx = { value = 1e5, assumed = "t" }\n')
+    options = ["--radar", "none", "--duration", "1 s", "--fidelity", "draft"]
+    files = ["--out", str(tmp_path / "told.mcap"), "--system", str(system)]
+    app(["drive", "table1", *options, *files], standalone_mode=False)
+    assert "camera: saturated: 1 record of this call, the first: " in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

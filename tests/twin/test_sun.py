@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from twin.camera import capture, still_world
 from twin.camera.acquisition import measure
 from twin.camera.assumptions import SKY_STAYS_ASSUMPTION, SUN_MOVES_ASSUMPTION
+from twin.camera.chain import Chain
+from twin.camera.exposure_noise import exposure_noise_w
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
 from twin.camera.still_world import StillWorld
@@ -249,19 +251,52 @@ def test_a_walls_sunlight_follows_the_suns_course(
 
 def test_light_is_smooth_between_steps_where_the_sun_grazes(tmp_path: Path) -> None:
     """On level ground 2 degrees below the sun, a step is 5 % of its light."""
-    folder = tmp_path / "ground"
+    scene = ground(tmp_path / "ground", moving_sun(2.0))
+    world = StillWorld(scene, CAMERA, FAST, np.random.SeedSequence(5))
+    begins_s = 4.0 * np.arange(14)
+    found_w = backgrounds_w(world, CAMERA, begins_s)
+    suns = [scene.sun.after(t + CAMERA.frame_time_s / 2).direction[2] for t in begins_s]
+    np.testing.assert_allclose(found_w / found_w[0], np.array(suns) / suns[0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("elevation_deg", [0.02, 0.05])
+def test_light_bends_where_the_sun_rises_and_where_it_passes_a_plane_edge_on(
+    tmp_path: Path, elevation_deg: float
+) -> None:
+    """Ground from the horizon on, to a tenth of an exposure's noise: frame by frame as the closed
+    form, the light of the sky given by the system, so that its brightness does not hide it.
+    """
+    scene = ground(tmp_path / "ground", moving_sun(elevation_deg, illuminance_lx=300.0))
+    world = StillWorld(scene, CAMERA, FAST, np.random.SeedSequence(5))
+    begins_s = np.arange(-24.0, 24.0, 1.3)
+    found_w = backgrounds_w(world, CAMERA, begins_s)
+    heights = np.array(
+        [scene.sun.after(t + CAMERA.frame_time_s / 2).direction[2] for t in begins_s]
+    )
+    assert (heights < 0).any()
+    assert (found_w[heights <= 0] == 0).all()
+    lit, noise_w = heights > 0, noise_of_an_exposure_w(scene)
+    slope = found_w[-1] / heights[-1]
+    assert np.abs(found_w - slope * np.maximum(heights, 0))[lit].max() < 0.1 * noise_w
+    step = np.sin(np.radians(0.1)) * slope
+    assert step / 4 > 0.2 * noise_w, "else a straight line over a whole step would pass"
+
+
+def noise_of_an_exposure_w(scene: Scene) -> float:
+    chain = Chain.of(CAMERA, scene.sun)
+    light = render(scene, CAMERA, fidelity=FAST, seed=np.random.SeedSequence(5))
+    return exposure_noise_w(chain, light)
+
+
+def ground(folder: Path, sun: Sun) -> Scene:
+    """Level ground before a rig that looks down to it."""
     folder.mkdir()
     (folder / "scene.xml").write_text(
         '<scene version="3.0.0"><shape type="rectangle" id="ground"><transform name="to_world">'
         '<scale value="50"/></transform><bsdf type="diffuse" id="concrete"/></shape></scene>'
     )
     (folder / "scene.toml").write_text("[rig]\nposition_m = [0.0, 0.0, 2.0]\npitch_deg = 45.0\n")
-    scene = replace(load_scene(folder), sun=moving_sun(2.0))
-    world = StillWorld(scene, CAMERA, FAST, np.random.SeedSequence(5))
-    begins_s = 4.0 * np.arange(14)
-    found_w = backgrounds_w(world, CAMERA, begins_s)
-    suns = [scene.sun.after(t + CAMERA.frame_time_s / 2).direction[2] for t in begins_s]
-    np.testing.assert_allclose(found_w / found_w[0], np.array(suns) / suns[0], rtol=1e-4)
+    return replace(load_scene(folder), sun=sun)
 
 
 def test_light_is_rendered_at_steps_alone_and_comes_back_to_the_same_bits(
@@ -281,9 +316,9 @@ def test_light_is_rendered_at_steps_alone_and_comes_back_to_the_same_bits(
 
     world = new()
     first = world.at(0.0)[1]
-    for begin_s in (3.0, 20.0, 24.0, 30.0):
+    for begin_s in (3.0, 9.0, 15.0, 20.0, 24.0, 30.0, 40.0):
         world.at(begin_s)
-    assert len(rendered) == 3
+    assert len(rendered) == 5  # both ends and the middle of two steps
     np.testing.assert_array_equal(world.at(0.0)[1].sun, first.sun)
     at_once = new().at(30.0)[1].sun
     np.testing.assert_array_equal(at_once, world.at(30.0)[1].sun)
@@ -292,6 +327,16 @@ def test_light_is_rendered_at_steps_alone_and_comes_back_to_the_same_bits(
     still = replace(scene, sun=Sun(160, 38, 5e4))
     fixed = StillWorld(still, CAMERA, FAST, np.random.SeedSequence(5))
     assert fixed.at(1e6)[1] is fixed.at(0.0)[1]
+
+
+def test_a_sun_that_never_stands_there_is_warned_of(tmp_path: Path) -> None:
+    scene = wall_in_the_sun(tmp_path / "wall", moving_sun())
+    with (scene.path.parent / "scene.toml").open("a") as file:
+        file.write("[sun]\nazimuth_deg = 286\nelevation_deg = 80\nilluminance_lx = 5e4\n")
+        file.write("latitude_deg = 60\nnorth_azimuth_deg = 286.0\n")
+    told = load_scene(scene.path.parent).warnings
+    assert any("declination would be 70.0 deg" in text for text in told)
+    assert not any("declination" in text for text in load_scene("crossing").warnings)
 
 
 def test_frames_under_a_sun_that_moves_begin_with_that_of_a_capture(tmp_path: Path) -> None:

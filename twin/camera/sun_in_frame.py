@@ -35,9 +35,10 @@ def sun_warnings(scene: Scene, system: System) -> tuple[CaptureWarning, ...]:
     change = (max(levels) - min(levels)) / max(max(levels), 1e-300)
     if not max(levels) or (turn_deg <= _TURN_DEG and change <= _CHANGE):
         return ()
+    changes = f" and changes its brightness by {number(100 * change, 2)} %" if change else ""
     text = (
-        f"the sun turns by {number(turn_deg, 2)} deg in a frame and changes its brightness by "
-        f"{number(100 * change, 2)} %; all exposures have that of the middle"
+        f"the sun turns by {number(turn_deg, 2)} deg in a frame{changes}; all exposures have that "
+        "of the middle"
     )
     return (CaptureWarning("model", text),)
 

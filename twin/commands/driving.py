@@ -65,7 +65,7 @@ def drive(
     """
     import math
 
-    from hardware.formatting import number, quantity_text
+    from hardware.formatting import counted, number, quantity_text
     from hardware.interruption import asked_to_end
     from twin.drive import DeviceClock, Drive
     from twin.drive import drive as record
@@ -129,6 +129,9 @@ def drive(
         of_real_time=done.pace,
         complete=done.complete,
     )
+    for one in done.warned:
+        records = counted(one.records, "record")
+        say.warn(f"{one.sensor}: {one.kind}: {records} of this call, the first: {one.words}")
     say.written(out)
     if not done.complete:
         say.warn("the drive was stopped; the same command continues it")

@@ -16,6 +16,7 @@ from twin.drive.log import DriveLog
 from twin.drive.mounting import mounting_of
 from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
+from twin.drive.told import ToldWarning, ToldWarnings
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
 from twin.engine import return_freed_memory
@@ -28,8 +29,8 @@ Tell = Callable[[float], None]
 @dataclass(frozen=True)
 class Driven:
     """What a call of `drive` did: events in the log, of which ``resumed`` were there before; the
-    time that they cover, of which ``computed_s`` was computed in ``elapsed_s``; and whether the log
-    is complete.
+    time that they cover, of which ``computed_s`` was computed in ``elapsed_s``; whether the log
+    is complete; and what the records that were computed are ``warned`` of.
     """
 
     path: Path
@@ -39,6 +40,7 @@ class Driven:
     computed_s: float
     elapsed_s: float
     complete: bool
+    warned: tuple[ToldWarning, ...] = ()
 
     @property
     def pace(self) -> float:
@@ -71,13 +73,13 @@ def drive(
         "seed": str(plan.seed),
         "digest": plan.digest,
     }
-    start = time.monotonic()
+    start, told = time.monotonic(), ToldWarnings()
     with DriveLog(path, about) as log:
         resumed = log.events
         begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
         tell(begun_s)
         if not log.complete:
-            write = _writer(plan)
+            write = _writer(plan, told)
             for event in islice(plan.events(), resumed, None):
                 if over.is_set() or interrupts:
                     break
@@ -95,6 +97,7 @@ def drive(
             computed_s=covered_s - begun_s,
             elapsed_s=time.monotonic() - start,
             complete=log.complete,
+            warned=told.told,
         )
 
 
@@ -110,9 +113,9 @@ def _mark(plan: Drive, event: Event, number: int) -> Mark:
     return Mark(number, event.kind, event.number, event.begin_ns, event.end_ns, shown)
 
 
-def _writer(plan: Drive) -> Callable[[Event], Callable[[Log], None]]:
+def _writer(plan: Drive, told: ToldWarnings) -> Callable[[Event], Callable[[Log], None]]:
     """What writes the messages of an event."""
-    camera, radar, samples = CameraFrames(plan), RadarBursts(plan), TruthSamples(plan)
+    camera, radar, samples = CameraFrames(plan, told), RadarBursts(plan, told), TruthSamples(plan)
 
     def states(log: Log, found: Iterable[ObjectStates], at_ns: Sequence[int], log_ns: int) -> None:
         for state, stamp_ns in zip(found, at_ns, strict=True):

@@ -1,6 +1,6 @@
 """What the sensors of a drive send: frame k of the camera, burst k of the radar."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,10 @@ from twin.camera.still_world import StillWorld
 from twin.camera.stream import numbered
 from twin.camera.truth import Truth, render_truth
 from twin.drive.plan import Drive
+from twin.drive.told import ToldWarnings
 from twin.radar import RadarEcho, radar_echo
 from twin.scene.mitsuba import mitsuba_scene
+from twin.warned import CaptureWarning
 
 
 def seed_of(seed: int, sensor: int, number: int) -> int:
@@ -29,6 +31,7 @@ class CameraFrames:
     """
 
     drive: Drive
+    told: ToldWarnings = field(default_factory=ToldWarnings)
 
     def __call__(self, number: int, begin_ns: int) -> SpiRecord:
         """Frame ``number``, which begins at a time of the reference, in device time."""
@@ -42,6 +45,7 @@ class CameraFrames:
             rng = np.random.default_rng(seed)
             world, light = self._still.at(1e-9 * begin_ns)
             taken = measure(world, system, light, rng=rng, noise=drive.fidelity.noise)
+        self.told.add("camera", taken.warnings)
         begin_ns = drive.camera_clock.after_start(0)
         return numbered(taken.record, system, number, begin_ns)
 
@@ -65,15 +69,19 @@ class CameraFrames:
 class RadarBursts:
     """The radar of a drive. A world at rest is traced once, where that gives the same bits."""
 
-    def __init__(self, drive: Drive) -> None:
-        self._drive, self._still = drive, None
-
-    _still: RadarEcho | None
+    def __init__(self, drive: Drive, told: ToldWarnings | None = None) -> None:
+        self._drive, self._told = drive, told or ToldWarnings()
+        self._still: RadarEcho | None = None
+        self._warned: tuple[CaptureWarning, ...] = ()
 
     def __call__(self, number: int) -> RadarRecord:
         """Burst ``number``, in device time; its pose is that of its middle."""
         drive, seed = self._drive, seed_of(self._drive.seed, 1, number)
-        record = self._echo(drive.burst_ns(number), seed).record()
+        echo = self._echo(drive.burst_ns(number), seed)
+        record = echo.record()
+        if echo.bursts:
+            self._warned = echo.warnings(record)
+        self._told.add("radar", self._warned)
         begin = drive.radar_clock.after_start(round(number * 1e9 * drive.radar_period_s))
         return replace(record, device_time_ns=record.device_time_ns + begin)
 

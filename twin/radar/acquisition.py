@@ -119,6 +119,12 @@ class RadarEcho:
         iq, flags = (np.stack([burst[k] for burst in iq_bursts]) for k in (0, 1))
         return _record(self.worlds, self.radar, self.interval_s, iq, flags, iq_bursts[0][2])
 
+    def warnings(self, record: RadarRecord) -> tuple[CaptureWarning, ...]:
+        """What a capture of it, with this record, warns of; before it is `condensed`."""
+        first, solver = self.worlds[0], solver_of(self.fidelity)
+        truth = true_targets(first, self.radar, self.bursts[0], self.air)
+        return warnings(first, self.radar, self.bursts, truth, record, solver)
+
     def _channels(self) -> Iterator[Complex]:
         tolerance = self.fidelity.nufft_tolerance
         return (
@@ -238,7 +244,7 @@ def radar_capture(
         air=air,
         sample_noise_w=radar.sample_noise_w,
         assumptions=assumptions(first, radar, bursts, air, solver),
-        warnings=warnings(first, radar, bursts, truth, record, solver),
+        warnings=echo.warnings(record),
         is_bounded=solver.has_tolerance or _is_declared_alone(first, echo.fidelity),
     )
 

@@ -30,6 +30,8 @@ _MESH_PLUGINS = ("ply", "obj", "stl")
 #: Of files that `twin import` reads.
 MODEL_SUFFIXES = frozenset({".glb", ".gltf", ".obj", ".ply", ".stl"})
 
+_TROPIC_DEG = 23.5  # with half a tenth for rounded angles
+
 _COARSE_M = 1e-3  # step of a mesh file's float32 coordinates that is warned of
 
 
@@ -104,6 +106,12 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         warnings.append(
             f"the sun is {-sun.elevation_deg:g} deg below the horizon, and lights the scene from "
             "there: a scene without light of the sun has illuminance_lx = 0"
+        )
+    if abs(sun.declination_deg or 0.0) > _TROPIC_DEG:
+        warnings.append(
+            f"the sun never stands there at latitude {sun.latitude_deg:g} deg, north at azimuth "
+            f"{sun.north_azimuth_deg:g} deg: its declination would be {sun.declination_deg:.1f} "
+            "deg, and is between -23.4 and 23.4"
         )
     return Scene(
         name=path.parent.resolve().name if path.name == "scene.xml" else path.stem,

@@ -61,7 +61,8 @@ class Scene(Described):
         ----------
         changes
             By dotted name: ``rig.x_m`` (y, z), ``rig.yaw_deg`` (pitch, roll);
-            ``sun.azimuth_deg``, ``.elevation_deg``, ``.illuminance_lx``;
+            ``sun.azimuth_deg``, ``.elevation_deg``, ``.illuminance_lx``, ``.latitude_deg``,
+            ``.north_azimuth_deg`` (the last two None for a sun that stands still);
             ``objects.NAME.reflectance``, ``.shift_x_m`` (y, z; what it carries moves too),
             ``.velocity_m_per_s`` (of one without a motion), ``.radar``, ``.thickness_m``;
             ``targets.NAME.rcs_m2``. NAME may be ``*``: all of them.

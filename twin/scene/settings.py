@@ -108,7 +108,7 @@ class _Sun(Strict):
         try:
             self.sun()
         except InputError as error:
-            raise InputError(str(error).removeprefix("scene.")) from None
+            raise InputError(str(error).removeprefix("scene.sun").lstrip(".: ")) from None
         return self
 
     def sun(self) -> Sun:

@@ -97,6 +97,16 @@ class Sun:
         return _towards(self.azimuth_deg, self.elevation_deg)
 
     @property
+    def declination_deg(self) -> float | None:
+        """Elevation above the equator of the sky, of a sun that moves; through the year between
+        -23.44 and 23.44.
+        """
+        if self.latitude_deg is None or self.north_azimuth_deg is None:
+            return None
+        pole = _towards(self.north_azimuth_deg, self.latitude_deg)
+        return math.degrees(math.asin(float(np.clip(self.direction @ pole, -1, 1))))
+
+    @property
     def moves(self) -> bool:
         """Whether it ever does."""
         return self.latitude_deg is not None
