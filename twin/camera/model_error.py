@@ -71,7 +71,7 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
         signal_systematic=float(weight @ signal_systematic),
         background_w=open_share * float(np.linalg.norm(power.sun_error_w)) / n_detectors,
         background_systematic_w=open_share * float(power.sun_left_out_w.mean()),
-        electrons_per_watt=chain.noise(signal_w, np.ones(n_detectors)).background_e,
+        electrons_per_watt=_electrons_per_watt(chain, signal_w, power),
     )
 
 
@@ -92,6 +92,14 @@ def _noise_slopes(chain: Chain, signal_w: Array, sun_w: Array) -> tuple[Array, A
     here, step = log_noise(1.0, 1.0), np.log1p(_STEP)
     by_signal, by_background = log_noise(1 + _STEP, 1.0), log_noise(1.0, 1 + _STEP)
     return (by_signal - here) / step, (by_background - here) / step
+
+
+def _electrons_per_watt(chain: Chain, signal_w: Array, power: Powers) -> float:
+    """Of the sun's light, as much of it as there is, or may be."""
+    for sun_w in (power.sun_w, power.sun_left_out_w):
+        if (mean_w := float(sun_w.mean())) > 0 and math.isfinite(mean_w):
+            return chain.noise(signal_w, sun_w).background_e / mean_w
+    return 0.0
 
 
 def _unseen_sun(chain: Chain, signal_w: Array, power: Powers) -> Array:
