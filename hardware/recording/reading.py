@@ -25,7 +25,7 @@ from hardware.recording.chunks import (
     records_of_broken_chunk,
     records_of_chunk,
 )
-from hardware.recording.heads import MAGIC, Heads
+from hardware.recording.heads import MAGIC, Head, Heads
 from hardware.recording.kinds import BY_NAME, KINDS, Record
 
 _log = logging.getLogger(__name__)
@@ -149,69 +149,86 @@ class _LogReader:
         self._end = "it ends before its footer"
         self._chunks: set[bytes] = set()
         self.refused: str | None = None
+        self._n = self._n_counted = self._loose_bytes = 0
+        self._in_index = False
+        #: Messages of the broken chunk just passed; None: none is broken.
+        self._n_of_broken: int | None = None
 
     def messages(self) -> Iterator[LoggedMessage]:
         """Every message that can be read."""
-        n, counted, in_index, loose_bytes = 0, 0, False, 0
-        n_before: int | None = (
-            None  # messages of the broken chunk just passed; None: none is broken
-        )
         for head in Heads(self._file, self._size):
-            kind, at, length = head.kind, head.at, head.length
-            whole = at + length <= self._size
             if head.fault:
                 self._note(head.fault)
                 self._ending.lost_bytes += head.skipped
-            if kind == Opcode.FOOTER and whole:
-                if not self._index_matches(at, length):
-                    self._note("its index is damaged")
-                self._ending.finished = True
+            if self._is_last(head):
                 break
-            if not whole:
-                self._end = "it ends within a record"
-                if kind not in _WITHOUT_MESSAGES and not self._ending.being_written:
-                    self._ending.lost_bytes += self._size - at
-                break
-            if kind == Opcode.MESSAGE_INDEX:
-                if n_before is not None:
-                    indexed = self._indexed(at, length)
-                    self._ending.lost_messages += max(indexed - n_before, 0)
-                    n_before = max(n_before - indexed, 0)
-                continue
-            n_before = None
-            if kind == Opcode.DATA_END and not self._crc_matches(at, length):
-                self._note("the CRC-32 of the data is another")
-                self._ending.lost_bytes += loose_bytes  # any of which may be altered
-            if kind == Opcode.STATISTICS:
-                counted = int.from_bytes(self._body(at, 8), "little")
-            in_index |= kind == Opcode.DATA_END
-            if kind not in (Opcode.CHUNK, *_DEFINITIONS) and (kind != Opcode.MESSAGE or in_index):
-                continue
-            loose_bytes += length if kind == Opcode.MESSAGE else 0
-            n_here = 0
-            try:
-                body = self._body(at, length)
-                if kind == Opcode.CHUNK and self._is_there_already(body):
-                    continue
-                for message in self._in_record(kind, body):
-                    n_here, n = n_here + 1, n + 1
+            if self._may_hold_messages(head):
+                for message in self._in_head(head):
+                    self._n += 1
                     yield message
-            except Exception as error:
-                if not _is_data_error(error):
-                    raise
-                if isinstance(error, RefusedError):
-                    self.refused = str(error)
-                self._note(_describe(error))
-                self._ending.lost_bytes += length
-                n_before = n_here
-                if kind == Opcode.CHUNK and not isinstance(error, RefusedError):
-                    self._from_broken_chunks.take(records_of_broken_chunk(self._body(at, length)))
-        if (missing := counted - n - self._ending.lost_messages) > 0:
-            self._note(f"{missing} of the {counted} messages that it counts are missing")
+        if (missing := self._n_counted - self._n - self._ending.lost_messages) > 0:
+            self._note(f"{missing} of the {self._n_counted} messages that it counts are missing")
             self._ending.lost_messages += missing
         if not self._ending.finished:
             before = f"{self._ending.fault}; " if self._ending.fault else ""
             self._ending.fault = before + self._end
+
+    def _is_last(self, head: Head) -> bool:
+        """Whether nothing comes after it: the footer, or what the file's end cuts off."""
+        whole = head.at + head.length <= self._size
+        if not whole:
+            self._end = "it ends within a record"
+            if head.kind not in _WITHOUT_MESSAGES and not self._ending.being_written:
+                self._ending.lost_bytes += self._size - head.at
+        elif head.kind == Opcode.FOOTER:
+            if not self._index_matches(head.at, head.length):
+                self._note("its index is damaged")
+            self._ending.finished = True
+        return not whole or head.kind == Opcode.FOOTER
+
+    def _may_hold_messages(self, head: Head) -> bool:
+        """Whether a record may, or says what they are; of others what they say is noted."""
+        kind, at, length = head.kind, head.at, head.length
+        if kind == Opcode.MESSAGE_INDEX:
+            if self._n_of_broken is not None:
+                indexed = self._indexed(at, length)
+                self._ending.lost_messages += max(indexed - self._n_of_broken, 0)
+                self._n_of_broken = max(self._n_of_broken - indexed, 0)
+            return False
+        self._n_of_broken = None
+        if kind == Opcode.DATA_END:
+            self._in_index = True
+            if not self._crc_matches(at, length):
+                self._note("the CRC-32 of the data is another")
+                self._ending.lost_bytes += self._loose_bytes  # any of which may be altered
+        if kind == Opcode.STATISTICS:
+            self._n_counted = int.from_bytes(self._body(at, 8), "little")
+        if kind == Opcode.MESSAGE and not self._in_index:
+            self._loose_bytes += length
+            return True
+        return kind == Opcode.CHUNK or kind in _DEFINITIONS
+
+    def _in_head(self, head: Head) -> Iterator[LoggedMessage]:
+        """Messages of a record as far as they can be read; the rest is noted as lost."""
+        n = 0
+        try:
+            body = self._body(head.at, head.length)
+            if head.kind == Opcode.CHUNK and self._is_there_already(body):
+                return
+            for message in self._in_record(head.kind, body):
+                n += 1
+                yield message
+        except Exception as error:
+            if not _is_data_error(error):
+                raise
+            if isinstance(error, RefusedError):
+                self.refused = str(error)
+            self._note(_describe(error))
+            self._ending.lost_bytes += head.length
+            self._n_of_broken = n
+            if head.kind == Opcode.CHUNK and not isinstance(error, RefusedError):
+                broken = self._body(head.at, head.length)
+                self._from_broken_chunks.take(records_of_broken_chunk(broken))
 
     def _is_there_already(self, chunk: bytes) -> bool:
         """Whether a chunk is a copy of an earlier one, whose messages would come twice."""
