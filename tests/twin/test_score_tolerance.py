@@ -175,6 +175,7 @@ def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Pat
     for options, is_told in (
         (["--x", "scene.rig.x_m"], True),
         (["--front", "psnr_db", "--csv", str(tmp_path / "front.csv")], False),
+        (["--save", str(tmp_path / "best.toml")], False),
         (["--save", str(tmp_path / "one.toml"), "--point", "1"], True),
         (["--save", str(tmp_path / "other.toml"), "--point", "0"], False),
     ):

@@ -47,4 +47,7 @@ def _brightness(sun: Sun, system: System) -> float:
     """Of the system's sky until the sun sets, or of the scene's sun."""
     if sun.has_set:
         return 0.0
-    return 1.0 if system.sky else sun.illuminance_lx
+    if system.sky is None:
+        return sun.illuminance_lx
+    given = system.sky.illuminance_lx
+    return 1.0 if given is None or given.value else 0.0

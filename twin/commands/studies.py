@@ -186,7 +186,7 @@ def show(
         out = out or sweep / f"{drawn}.png"
         figure.savefig(out, dpi=150)
         say.written(out)
-    if front is None and point is None:
+    if front is None and (figure is not None or csv is not None):
         _tell_warned(say, data)
     if csv is not None and front is None:
         write_rows(all_points(data, void=void), csv)
