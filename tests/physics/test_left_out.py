@@ -77,6 +77,9 @@ def test_sun_that_no_path_met_is_not_none_at_all() -> None:
     sun, noise = sun_power_interval(draft), noise_interval(draft)
     assert sun.systematic > truth_w
     assert noise.holds(capture(behind, system, seed=1, fidelity=finest).noise.total_noise_e)
+    missed_e = background_interval(draft).systematic
+    by_missed_e = np.sqrt(noise.value**2 + missed_e) - noise.value
+    assert noise.systematic >= 0.9 * by_missed_e > 0.1 * noise.value
     swept = render_unit_reflectance(
         behind, system, fidelity=PRESETS["draft"], seed=np.random.SeedSequence(1)
     ).rescaled(behind)
