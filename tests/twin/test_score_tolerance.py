@@ -181,7 +181,10 @@ def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Pat
     ):
         shown = CliRunner().invoke(app, ["show", str(tmp_path / "out"), *options])
         assert not shown.exception
-        assert ("score: 1 point: 0.2, PSNR 0.1 dB asked" in shown.output + shown.stderr) == is_told
+        assert (
+            "score: 1 point, the first of the sweep: 0.2, PSNR 0.1 dB"
+            in shown.output + shown.stderr
+        ) == is_told
     rows = (tmp_path / "front.csv").read_text().splitlines()
     assert rows[0].endswith(",warned")
     csv = CliRunner().invoke(

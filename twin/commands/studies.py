@@ -204,7 +204,8 @@ def _tell_warned(
     for one in warned_points(data):
         some = one if points is None else one.of(points)
         if some.points:
-            say.warn(f"{one.kind}: {counted(len(some.points), 'point')}: {one.words}")
+            n = counted(len(some.points), "point")
+            say.warn(f"{one.kind}: {n}, the first of the sweep: {one.words}")
 
 
 def _tell_sensitivities(

@@ -1,6 +1,7 @@
 """Assumptions and warnings of a capture."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -237,7 +238,10 @@ def _bends(scene: Scene, radar: RadarDesign) -> list[CaptureWarning]:
     if scene.at_rest and not scene.rig.moves:
         return []
     ends = np.clip(np.array([-1.0, 1.0]) * radar.burst_s / 2, *scene.span_s)
-    then = [scene.after(float(time)) for time in ends]
+    carriers = {target.object for target in scene.targets}
+    # Motions of limbs take milliseconds each.
+    alone = replace(scene, objects=tuple(o for o in scene.objects if o.name in carriers))
+    then = [alone.after(float(time)) for time in ends]
     off = np.zeros((2, len(scene.targets)))
     for k, target in enumerate(scene.targets):
         towards = _towards(scene, target)

@@ -145,9 +145,10 @@ def _rows(
         width = half_width(data, name)
         known = np.full(like.size, np.nan) if width is None else width.to_numpy().ravel()
         found[f"{name}.half_width"] = known[points].tolist()
-    kinds = [one for one in warned_points(data) if one.points]
+    marked = {one.kind: set(one.points) for one in warned_points(data)}
     found["warned"] = [
-        " ".join(one.kind for one in kinds if point in one.points) for point in points.tolist()
+        " ".join(kind for kind, some in marked.items() if point in some)
+        for point in points.tolist()
     ]
     return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
 
