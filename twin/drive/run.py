@@ -16,9 +16,9 @@ from twin.drive.log import DriveLog
 from twin.drive.mounting import mounting_of
 from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
-from twin.drive.told import ToldWarning, ToldWarnings
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
+from twin.drive.warning_counts import WarningCount, WarningCounts
 from twin.engine import return_freed_memory
 from twin.progress import interrupts
 
@@ -40,7 +40,7 @@ class Driven:
     computed_s: float
     elapsed_s: float
     complete: bool
-    warned: tuple[ToldWarning, ...] = ()
+    warned: tuple[WarningCount, ...] = ()
 
     @property
     def pace(self) -> float:
@@ -73,7 +73,7 @@ def drive(
         "seed": str(plan.seed),
         "digest": plan.digest,
     }
-    start, told = time.monotonic(), ToldWarnings()
+    start, told = time.monotonic(), WarningCounts()
     with DriveLog(path, about) as log:
         resumed = log.events
         begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
@@ -97,7 +97,7 @@ def drive(
             computed_s=covered_s - begun_s,
             elapsed_s=time.monotonic() - start,
             complete=log.complete,
-            warned=told.told,
+            warned=told.counts,
         )
 
 
@@ -113,7 +113,7 @@ def _mark(plan: Drive, event: Event, number: int) -> Mark:
     return Mark(number, event.kind, event.number, event.begin_ns, event.end_ns, shown)
 
 
-def _writer(plan: Drive, told: ToldWarnings) -> Callable[[Event], Callable[[Log], None]]:
+def _writer(plan: Drive, told: WarningCounts) -> Callable[[Event], Callable[[Log], None]]:
     """What writes the messages of an event."""
     camera, radar, samples = CameraFrames(plan, told), RadarBursts(plan, told), TruthSamples(plan)
 

@@ -12,7 +12,7 @@ from twin.camera.still_world import StillWorld
 from twin.camera.stream import numbered
 from twin.camera.truth import Truth, render_truth
 from twin.drive.plan import Drive
-from twin.drive.told import ToldWarnings
+from twin.drive.warning_counts import WarningCounts
 from twin.radar import RadarEcho, radar_echo
 from twin.scene.mitsuba import mitsuba_scene
 from twin.warned import CaptureWarning
@@ -31,7 +31,7 @@ class CameraFrames:
     """
 
     drive: Drive
-    told: ToldWarnings = field(default_factory=ToldWarnings)
+    told: WarningCounts = field(default_factory=WarningCounts)
 
     def __call__(self, number: int, begin_ns: int) -> SpiRecord:
         """Frame ``number``, which begins at a time of the reference, in device time."""
@@ -69,8 +69,8 @@ class CameraFrames:
 class RadarBursts:
     """The radar of a drive. A world at rest is traced once, where that gives the same bits."""
 
-    def __init__(self, drive: Drive, told: ToldWarnings | None = None) -> None:
-        self._drive, self._told = drive, told or ToldWarnings()
+    def __init__(self, drive: Drive, told: WarningCounts | None = None) -> None:
+        self._drive, self._told = drive, told or WarningCounts()
         self._still: RadarEcho | None = None
         self._warned: tuple[CaptureWarning, ...] = ()
 

@@ -7,7 +7,7 @@ from twin.warned import CaptureWarning
 
 
 @dataclass(frozen=True)
-class ToldWarning:
+class WarningCount:
     """Warnings of one kind that records of one sensor had: of how many, and the first in words."""
 
     sensor: str
@@ -16,20 +16,20 @@ class ToldWarning:
     words: str
 
 
-class ToldWarnings:
+class WarningCounts:
     """Warnings of all records so far, however many: memory does not grow with them."""
 
     def __init__(self) -> None:
-        self._told: dict[tuple[str, str], ToldWarning] = {}
+        self._counts: dict[tuple[str, str], WarningCount] = {}
 
     def add(self, sensor: str, warnings: Iterable[CaptureWarning]) -> None:
         """Those of one record."""
         first = {warning.kind: str(warning) for warning in reversed(tuple(warnings))}
         for kind, words in first.items():
-            told = self._told.get((sensor, kind), ToldWarning(sensor, kind, 0, words))
-            self._told[sensor, kind] = ToldWarning(sensor, kind, told.records + 1, told.words)
+            known = self._counts.get((sensor, kind), WarningCount(sensor, kind, 0, words))
+            self._counts[sensor, kind] = WarningCount(sensor, kind, known.records + 1, known.words)
 
     @property
-    def told(self) -> tuple[ToldWarning, ...]:
+    def counts(self) -> tuple[WarningCount, ...]:
         """By sensor and kind."""
-        return tuple(self._told[key] for key in sorted(self._told))
+        return tuple(self._counts[key] for key in sorted(self._counts))
