@@ -30,12 +30,18 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
+from twin.radar.propagation.diffraction import behind_obstacles
 from twin.radar.propagation.diffraction.blocking import first_hit
-from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
+from twin.radar.propagation.diffraction.knife_edge import (
+    double_knife_edge,
+    knife_edge_factor,
+    missing_edge_bound,
+    missing_edge_factor,
+)
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
-from twin.scene import Pose, Rig, SceneObject, Target
+from twin.scene import Pose, Rig, Scene, SceneObject, Target
 
 DEEP = OPTICS.with_(radar_shadow_db=60.0)
 K = 2 * np.pi / WAVELENGTH_M
@@ -423,31 +429,75 @@ def test_what_comes_round_an_obstacle_is_decided_by_a_bound(height: float) -> No
     assert not any("is left out, and in no stated error" in text for text in found.assumptions)
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.5])
-def test_waves_too_faint_to_follow_are_told(tilt: float) -> None:
+def _turned_plate(share: float) -> tuple[SceneObject, Array, Array]:
+    """A plate 10 m off, turned towards an edge 60 cm below the line of sight by a share of the
+    angle between both ways; the field past that edge along it, and the phasors of the echo.
+    """
+    turn = share * np.arctan2(0.6, 4.0)
+    sine, cosine = np.sin(turn), np.cos(turn)
+    flat = plate("plate", (0, 0, 0), 0.08)
+    turned = flat.vertices_m @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]]).T
+    s = ((np.arange(2000) + 0.5) / 2000 - 0.5) * 0.08
+    x, z = 10 + s * sine, s * cosine
+    past = erfc(-np.sqrt(1j * BEND) * (0.6 + 0.6 * z)) / 2
+    body = thing("plate", turned + np.array([10.0, 0, 0]), flat.geometry.faces)
+    return body, past, np.exp(-2j * K * (np.hypot(x, z) - 10))
+
+
+def _behind(scene: Scene, free: Scene) -> tuple[complex, float, float, int]:
+    """Echo of a scene's only body over the free one, its stated error, the level that this is
+    relative to over the free one's, and the number of contributions.
+    """
+    found, alone = (trace(each, RADAR, fidelity=DEFAULT) for each in (scene, free))
+    (told,) = found.bodies
+    level = told.level_amplitude / alone.bodies[0].amplitude
+    echo = wave(found.surfaces) / wave(alone.surfaces)
+    return echo, told.estimated_error, level, len(found.contributions)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_waves_too_faint_to_follow_are_told(share: float) -> None:
     """The edge is 60 cm off, 32 dB down. A plate turned halfway towards it reflects that wave at
     right angles and the straight one aside: 5 % of its echo is missing, 0.3 % if it is not turned,
     and that is stated.
     """
-    half = 0.5 * np.arctan2(0.6, 4.0) * tilt / 0.5
-    s = ((np.arange(2000) + 0.5) / 2000 - 0.5) * 0.08
-    x, z = 10 + s * np.sin(half), s * np.cos(half)
-    own = np.exp(-2j * K * (np.hypot(x, z) - 10))
-    h = -0.6 - 0.6 * z
-    past = (erfc(np.sqrt(1j * BEND) * h) / 2) ** 2
-    flat = plate("plate", (0, 0, 0), 0.08)
-    turned = flat.vertices_m @ np.array(
-        [[np.cos(half), 0, np.sin(half)], [0, 1, 0], [-np.sin(half), 0, np.cos(half)]]
-    ).T + np.array([10.0, 0, 0])
-    body = thing("plate", turned, flat.geometry.faces)
-    found = trace(world(screen(-0.6), body), RADAR, fidelity=DEFAULT)
-    free = trace(world(body), RADAR, fidelity=DEFAULT)
-    got = wave(found.surfaces) / wave(free.surfaces)
-    due = np.sum(past * own) / np.sum(own)
-    (told,) = found.bodies
-    level = told.level_amplitude / free.bodies[0].amplitude
-    assert abs(got - due) < told.estimated_error * level
-    assert told.estimated_error * level < 6 * abs(got - due)
+    body, past, own = _turned_plate(share)
+    got, told, level, _ = _behind(world(screen(-0.6), body), world(body))
+    due = np.sum(past**2 * own) / np.sum(own)
+    assert abs(got - due) < told * level
+    assert told * level < 6 * abs(got - due)
+
+
+def test_faint_waves_are_not_followed_beside_strong_ones(monkeypatch) -> None:
+    """An edge 5 cm above the plate's middle, and one 60 cm below: what cells are off by for the
+    near one is more than the far one's wave. The slit's field has both edges' waves.
+    """
+    body, past, own = _turned_plate(0.3)
+    near = rectangle("near", (-50, 50), (0.05, 50))
+    z = np.linspace(*body.vertices_m[[0, 2], 2], 2000)
+    past = past - erfc(np.sqrt(1j * BEND) * (0.05 - 0.6 * z)) / 2
+    due = np.sum(past**2 * own) / np.sum(own)
+
+    def traced() -> tuple[int, float]:
+        got, told, level, count = _behind(world(screen(-0.6), near, body), world(body))
+        assert abs(got - due) < told * level
+        return count, told
+
+    fewer, told = traced()
+    monkeypatch.setattr(behind_obstacles, "_OF_OTHERS", 0.0)
+    more, told_with_them = traced()
+    assert fewer < more
+    assert told < 1.3 * told_with_them
+
+
+def test_what_a_missing_edge_is_at_most() -> None:
+    """Over all phases; far from the end no more than 1.6 times what it is."""
+    rng = np.random.default_rng(1)
+    q, p = 10 ** rng.uniform(-3, 5, (2, 100_000))
+    value, bound = np.abs(missing_edge_factor(q, p)), missing_edge_bound(q, p)
+    matters = value > 1e-12
+    assert np.all(value[matters] <= bound[matters])
+    assert np.all(bound[matters & (p > 10)] < 1.6 * value[matters & (p > 10)])
 
 
 def test_no_rays_meet_nothing() -> None:

@@ -121,8 +121,8 @@ class RadarFidelity(Knobs):
     radar_shadowed
         Parts of bodies, 1 to 10 cm in size, that answer over obstacles' edges, all bodies together,
         those that may change the most, down to shadows of 30 dB (at a `radar_tolerance` of 0.1; 40
-        dB at 0.03), of `radar_shadow_db`, or 45 dB, where it counts; 0: on bodies shadows are
-        silent and their borders hard, as above. None: up to 1000, of those bodies to whose echo
+        dB at 0.03), of `radar_shadow_db`, or 45 dB, where it counts, also beside what the stronger
+        waves are off by; 0: on bodies shadows are silent and their borders hard, as above. None: up to 1000, of those bodies to whose echo
         they may add more than a tenth of `radar_tolerance`; what is left out is told of every body.
         A third of the yard's trace.
     radar_table_nodes

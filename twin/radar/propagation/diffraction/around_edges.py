@@ -221,7 +221,9 @@ class Segment:
             )
             if singly.any():
                 k = o.wavenumber
-                two = over_two_obstacles(one.paths, pairs[singly], self.source, self.seen, k)
+                two = over_two_obstacles(
+                    one.paths, pairs[singly], self.source, self.seen, k, o.faintest
+                )
                 is_open = open_beside(two, one.paths, is_open, one.blocker)
                 both = two.paths.take(np.abs(two.paths.amplitude) >= o.faintest)
                 yield both.take(self._is_open(both))

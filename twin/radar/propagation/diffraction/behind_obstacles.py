@@ -17,6 +17,7 @@ obstacles.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,7 @@ _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: of the sum of squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
 _UNFOLLOWED, _OF_CELLS = 2.0, 0.16
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
+_OF_OTHERS = 0.5  # of the error of cells: that of faint waves that are not followed for it
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
 _FINEST_M = 0.01  # cells
 _MOST_PAIRS = 1e8  # of coarse cells of all bodies and edges: some 10 s
@@ -110,38 +112,64 @@ def echoes_behind(
     ``obstacles`` is followed to those cells where it counts.
     """
     bound, left_out, unfollowed = (np.zeros(len(accepted.limit)) for _ in range(3))
-    everywhere = replace(obstacles, faintest=max(accepted.faintest, obstacles.faintest))
-    candidates = []
     too_large = _too_large(obstacles, bodies, len(bound))
+    candidates = []
     for body in bodies[~too_large[bodies]].tolist():
-        limit = accepted.limit[body]
-        facets, is_lit = _coarse(obstacles, body)
-        if not len(facets):
-            continue
-        cells = cells_of(everywhere, facets, body)
-        strength = _strength(obstacles, facets, gain)
-        other_way = np.where(is_lit, 2, np.minimum(cells.level, 1))
-        faint = faint_waves(everywhere, facets, body, strength, other_way)
-        is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most)
-        is_deep &= obstacles.faintest < everywhere.faintest
-        followed = np.where(is_deep, obstacles.faintest, everywhere.faintest)
-        unfollowed[body] = faint.of_body(followed)
-        change = _change(everywhere, facets, cells, gain, is_lit)
-        found = [_Candidates(body, everywhere, facets, change, cells).take(~is_deep)]
-        if is_deep.any():
-            deep = facets.of_cells(is_deep)
-            found.append(_candidates(obstacles, deep, body, gain, is_lit[is_deep]))
-        bound[body] = _SURE * np.linalg.norm(np.concatenate([one.change for one in found]))
-        candidates += [one for one in found if len(one.change)]
-    rows = [one for one in candidates if bound[one.body] > accepted.limit[one.body]]
-    is_below = bound <= accepted.limit
-    left_out[is_below] = bound[is_below]
-    finer = [_finer(one, gain, accepted, left_out) for one in rows]
-    finer = [one for one in finer if len(one.facets)]
-    echoes, of_cells = _contributions(surface_of_object, finer, accepted, left_out)
+        found = _of_body(obstacles, body, gain, accepted)
+        bound[body], left_out[body], unfollowed[body] = found.bound, found.left_out, found.faint
+        candidates += found.candidates
+    echoes, of_cells = _contributions(surface_of_object, candidates, accepted, left_out)
     # Independent of each other.
     parts = _UNFOLLOWED * unfollowed, left_out, of_cells
     return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0), too_large)
+
+
+class _OfBody(NamedTuple):
+    """What waves over edges may change of a body, in amplitude: the ``bound`` of all, the cells
+    that count, what is ``left_out`` of others, and waves too ``faint`` to be followed.
+    """
+
+    bound: float
+    candidates: list[_Candidates]
+    left_out: float
+    faint: float
+
+
+def _of_body(
+    obstacles: Screens, body: int, gain: Callable[[Array], Array], accepted: Accepted
+) -> _OfBody:
+    """Waves that are fainter than those followed everywhere are followed where they count by
+    themselves, and are not far below what the cells are off by for the stronger ones.
+    """
+    limit = accepted.limit[body]
+    everywhere = replace(obstacles, faintest=max(accepted.faintest, obstacles.faintest))
+    facets, is_lit = _coarse(obstacles, body)
+    if not len(facets):
+        return _OfBody(0.0, [], 0.0, 0.0)
+    whole = _candidates(everywhere, facets, body, gain, is_lit)
+    strength = _strength(obstacles, facets, gain)
+    other_way = np.where(is_lit, 2, np.minimum(whole.cells.level, 1))
+    faint = faint_waves(everywhere, facets, body, strength, other_way)
+    is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most)
+    is_deep &= obstacles.faintest < everywhere.faintest
+    deep = whole.take(is_deep)
+    if is_deep.any():
+        deep = _candidates(obstacles, deep.facets, body, gain, is_lit[is_deep])
+    rest = whole.take(~is_deep)
+    bound = _SURE * float(np.linalg.norm(np.concatenate([rest.change, deep.change])))
+    if bound <= limit:
+        followed = np.where(is_deep, obstacles.faintest, everywhere.faintest)
+        return _OfBody(bound, [], bound, faint.of_body(followed))
+    finer = [_finer(rest, gain, accepted), _finer(whole.take(is_deep), gain, accepted)]
+    followed = np.full(len(is_deep), everywhere.faintest)
+    changed = np.linalg.norm(np.concatenate([one.change for one, _ in finer]))
+    of_cells = _OF_CELLS * accepted.fineness * float(changed)
+    if is_deep.any() and _UNFOLLOWED * faint.of_body(followed) > _OF_OTHERS * of_cells:
+        finer[1] = _finer(deep, gain, accepted)
+        followed[is_deep] = obstacles.faintest
+    candidates = [one for one, _ in finer if len(one.facets)]
+    left_out = sum(left for _, left in finer)
+    return _OfBody(bound, candidates, left_out, faint.of_body(followed))
 
 
 def _too_large(obstacles: Screens, bodies: Indices, count: int) -> NDArray[np.bool_]:
@@ -181,21 +209,24 @@ def _candidates(
 
 
 def _finer(
-    one: _Candidates, gain: Callable[[Array], Array], accepted: Accepted, left_out: Array
-) -> _Candidates:
-    """Those that count in cells as small as edges near them ask for; the rest is added to
-    ``left_out``.
+    one: _Candidates, gain: Callable[[Array], Array], accepted: Accepted
+) -> tuple[_Candidates, float]:
+    """Those that count in cells as small as edges near them ask for; and what the rest may change,
+    in amplitude.
     """
+    left_out = 0.0
     for part in (_AWAY, _NEAR_BORDER):
+        if not len(one.facets):
+            break
         is_taken = _taken(one.change, accepted.limit[one.body] / 4, accepted.most)
-        left_out[one.body] += np.linalg.norm(one.change[~is_taken])
+        left_out += float(np.linalg.norm(one.change[~is_taken]))
         facets = one.facets.of_cells(is_taken)
         facets = _in_finer_cells(facets, one.cells.take(is_taken), part, accepted.fineness)
         facets, is_lit = _seen(one.obstacles, facets, one.body)
         if not len(facets):
-            return replace(one, facets=facets)
+            return one.take(np.zeros(len(one.change), dtype=bool)), left_out
         one = _candidates(one.obstacles, facets, one.body, gain, is_lit)
-    return one
+    return one, left_out
 
 
 def _contributions(

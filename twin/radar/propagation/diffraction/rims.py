@@ -344,9 +344,11 @@ def double_edge_paths(
     far: DiffractedPaths,
     wavenumber: float,
     cosine: Array | float = 1.0,
+    faintest: float = 0.0,
 ) -> tuple[DiffractedPaths, Array, NDArray[np.bool_]]:
     """Paths from a source to points (n, 3) over two edges, given the paths over each alone;
-    ``cosine`` of the angle between the directions into their light.
+    ``cosine`` of the angle between the directions into their light, ``faintest`` as of
+    `double_knife_edge`.
 
     Returns the paths; 1 - correlation^2 of the edges (see `double_knife_edge`), 0 where both are
     one edge; and whether the path over ``near``, or over ``far``, alone remains beside it, (n, 2).
@@ -365,6 +367,7 @@ def double_edge_paths(
         wavenumber * np.stack([one.longer_m, other.longer_m], axis=1),
         np.stack([one.lit_m > 0, other.lit_m > 0], axis=1),
         cosine * correlation,
+        faintest,
     )
     paths = replace(
         one,

@@ -61,14 +61,21 @@ def candidates(paths: DiffractedPaths, source: Array) -> Iterator[Indices]:
 
 
 def over_two_obstacles(
-    paths: DiffractedPaths, pairs: Indices, source: Array, places: Array, wavenumber: float
+    paths: DiffractedPaths,
+    pairs: Indices,
+    source: Array,
+    places: Array,
+    wavenumber: float,
+    faintest: float,
 ) -> TwoObstacles:
-    """Given the paths to points, at ``places``, over each of two edges alone."""
+    """Given the paths to points, at ``places``, over each of two edges alone; those over both that
+    are weaker than ``faintest`` may have no amplitude.
+    """
     near, far = (paths.take(column) for column in pairs.T)
     seen = places[near.point]
     cosine = np.sum(into_light(near, source) * into_light(far, source), axis=1)
     cosine = np.clip(cosine, -_PARALLEL, _PARALLEL)
-    both, _, alone = double_edge_paths(source, seen, near, far, wavenumber, cosine)
+    both, _, alone = double_edge_paths(source, seen, near, far, wavenumber, cosine, faintest)
     both = replace(both, along=far.along)  # where the wave bends last
     stops = [source, *both.stops.swapaxes(0, 1), seen]
     a, b, c = (np.linalg.norm(end - begin, axis=1) for begin, end in pairwise(stops))
