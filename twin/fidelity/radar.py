@@ -122,9 +122,9 @@ class RadarFidelity(Knobs):
         Parts of bodies, 1 to 10 cm in size, that answer over obstacles' edges, all bodies together,
         those that may change the most, down to shadows of 30 dB (at a `radar_tolerance` of 0.1; 40
         dB at 0.03), of `radar_shadow_db`, or 45 dB, where it counts, also beside what the stronger
-        waves are off by; 0: on bodies shadows are silent and their borders hard, as above. None: up to 1000, of those bodies to whose echo
-        they may add more than a tenth of `radar_tolerance`; what is left out is told of every body.
-        A third of the yard's trace.
+        waves are off by; 0: on bodies shadows are silent and their borders hard, as above. None: up
+        to 1000, of those bodies to whose echo they may add more than a tenth of `radar_tolerance`;
+        what is left out is told of every body. A third of the yard's trace.
     radar_table_nodes
         Of a table of physical optics at the level ``paths``, per lobe lambda / (2 D) of a target of
         extent D: an echo from its rim is off by 0.6 / n^2 of itself at most. At 4 a plate's rms
