@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import NOTHING, blocker, folded
 from twin.radar.propagation.diffraction.rims import (
-    ONE_EDGE,
     DiffractedPaths,
-    consecutive_edges,
-    double_edge_paths,
     edge_paths,
     farthest,
     merged,
@@ -33,6 +30,11 @@ from twin.radar.propagation.diffraction.rims import (
     rim_paths,
 )
 from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.two_edges import (
+    ONE_EDGE,
+    consecutive_edges,
+    double_edge_paths,
+)
 from twin.radar.propagation.diffraction.two_obstacles import (
     candidates,
     open_beside,

@@ -14,12 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.rims import (
-    DiffractedPaths,
-    double_edge_paths,
-    into_light,
-    matching_pairs,
-)
+from twin.radar.propagation.diffraction.rims import DiffractedPaths, matching_pairs
+from twin.radar.propagation.diffraction.two_edges import double_edge_paths, into_light
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
