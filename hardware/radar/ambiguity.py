@@ -179,9 +179,9 @@ def resolve_delay_rates(
     from scipy.special import gammainccinv
 
     fastest = fastest_resolved(waveform, fastest)
-    one_rate = len(ambiguous_rates(waveform, 0.0, fastest)) == 1
-    if waveform.n_slots == 1 or one_rate or not echoes:
-        return list(echoes)
+    several = [len(ambiguous_rates(waveform, echo.delay_rate, fastest)) > 1 for echo in echoes]
+    if waveform.n_slots == 1 or not any(several):
+        return [_folded(echo, waveform) for echo in echoes]
     delay_s = np.array([echo.delay_s for echo in echoes])
     delay_rate = np.array([echo.delay_rate for echo in echoes])
     about = blocks_about(channel, waveform, "boxcar", delay_s, delay_rate, _COARSE)
@@ -189,9 +189,12 @@ def resolve_delay_rates(
     least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
     resolved: list[EchoMeasurement] = []
     unfolded: list[EchoMeasurement] = []  # at another rate than the one that was measured
-    for echo, blocks in zip(echoes, about, strict=True):
+    for echo, blocks, has_several in zip(echoes, about, several, strict=True):
         if unfolded and _is_explained(blocks, echo, unfolded):
             continue  # a fragment of an echo that is focused elsewhere with its own rate
+        if not has_several:
+            resolved.append(_folded(echo, waveform))
+            continue
         remainder = _subtract_echoes(blocks, resolved, noise_w)
         likeliest, evidence = _with_likeliest_rate(
             channel, waveform, echo, remainder, resolved, noise_w, fastest
@@ -220,6 +223,12 @@ def resolve_delay_rates(
                 )
         resolved.append(likeliest)
     return without_duplicates(resolved, waveform, folded=False)
+
+
+def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
+    """An echo at the slowest of its rates, next to which it may have been measured."""
+    slowest, *_ = ambiguous_rates(waveform, echo.delay_rate, 0.0)
+    return replace(echo, delay_rate=float(slowest)) if waveform.n_slots > 1 else echo
 
 
 def _with_likeliest_rate(

@@ -7,7 +7,7 @@ import pytest
 
 from hardware.processing import cloud
 from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved, rate_evidence
-from hardware.radar.process import process
+from hardware.radar.process import Processing, process
 from hardware.radar.refinement import blocks_about
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import MIMO, WIDE, Echo, cube
@@ -60,6 +60,31 @@ def test_a_wrong_rate_leaves_what_the_smear_leaves() -> None:
     np.testing.assert_allclose(1e-3 * seen.log_likelihood[:3], left[:3], rtol=0.02)
     assert left[1] < 0.13  # or the test would tell nothing
     assert list(seen.possible) == [True] + 6 * [False]
+
+
+@pytest.mark.parametrize("fastest", [25.0, 30.0, 45.0])
+@pytest.mark.parametrize("rate", [-24.9, -24.3, -24.1, 24.2, 24.7, 3.0])
+def test_rates_just_beyond_the_ambiguity_are_told_from_slow_ones(
+    rate: float, fastest: float
+) -> None:
+    """24.3 m/s here. A target at 24.7 m/s had been one at -23.9 m/s wherever fewer than 48.6 m/s
+    were asked for.
+    """
+    seen = process(
+        cube(WIDE, [Echo((12.0, 0, 0), 1e-10, (rate, 0, 0))], noise_w=1e-11),
+        0,
+        Processing(fastest_m_per_s=fastest),
+    ).detections[0]
+    assert seen.range_rate_m_per_s == pytest.approx(rate, abs=5 * seen.range_rate_error_m_per_s)
+
+
+def test_a_rate_measured_across_the_ambiguitys_edge_is_the_slow_one() -> None:
+    """With nothing faster to be told from, a rate stays within the unambiguous ones."""
+    for rate in np.linspace(-24.28, -24.1, 5):
+        record = cube(WIDE, [Echo((12.0, 0, 0), 1e-10, (float(rate), 0, 0))], noise_w=1e-11)
+        seen = process(record, 0, Processing(fastest_m_per_s=20.0)).detections[0]
+        assert abs(seen.range_rate_m_per_s) <= WIDE.max_velocity_m_per_s
+        assert seen.range_rate_m_per_s == pytest.approx(rate, abs=0.1)
 
 
 @pytest.mark.parametrize("n_points", [1, 20])
