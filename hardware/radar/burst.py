@@ -12,7 +12,7 @@ from hardware.radar.demodulation import Complex, Precision, complex_samples, dem
 from hardware.radar.integrity import usable_part
 from hardware.radar.phase_noise import leakage_snr, with_steady_phase, without_phase_noise
 from hardware.radar.quadrature import without_images, without_offsets
-from hardware.radar.stitching import stitch
+from hardware.radar.stitching import range_per_rate_s, stitch
 from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ class DemodulatedBurst:
         False when a gap or an overflow cut the burst short; ``warnings`` say where.
     middle_ns
         Device clock in the middle of the slots, from which ``waveform`` counts their times.
+    range_per_rate_s
+        Of carrier steps, see `range_per_rate_s`; with one carrier 0.
     """
 
     channel: Complex
@@ -62,6 +64,7 @@ class DemodulatedBurst:
     middle_ns: int
     relative_noise: Array | None = None
     leakage: Complex | None = None
+    range_per_rate_s: float = 0.0
 
 
 def demodulate(
@@ -124,6 +127,7 @@ def demodulate(
             seen = snr > _SEEN
             if not seen:
                 leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
+    coupling_s = 0.0
     cube = [
         _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
     ]
@@ -131,12 +135,15 @@ def demodulate(
         wide_channel, wide = cube[0], own
     else:
         relative_noise = _noise_of_steps(cube)
+        carriers_hz = record.carriers_hz[: part.n_steps]
+        times_s = 1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64)
+        coupling_s = range_per_rate_s(carriers_hz, times_s)
         stitched = stitch(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
-            record.carriers_hz[: part.n_steps],
+            carriers_hz,
             leakage_s if reference_delay_s is None else reference_delay_s,
-            step_times_s=1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64),
+            step_times_s=times_s,
             range_rate_m_per_s=range_rate_m_per_s,
             reference_seen=seen or reference_delay_s is not None,
         )
@@ -158,6 +165,7 @@ def demodulate(
         middle_ns=record.middle_ns(burst, part.n_steps, int(schedule.max()) + 1),
         relative_noise=relative_noise,
         leakage=None if mode is None else mode.ravel(),
+        range_per_rate_s=coupling_s,
     )
 
 

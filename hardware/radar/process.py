@@ -224,7 +224,8 @@ def _detections(
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
     warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
-    warnings += _untested(interval.waveform, how) if echoes else []
+    if echoes:
+        warnings += [*_untested(interval.waveform, how), *_coupled(interval, how)]
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
@@ -337,6 +338,18 @@ def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
         f"range rate: beyond {C_M_PER_S / 2 * resolved:.3g} m/s none is told from slower ones, "
         f"of the {how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
         f"{waveform.n_slots} slots every {waveform.slot_period_s:g} s are too slow"
+    ]
+
+
+def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
+    """A warning of ranges that hold at one rate alone: others shift them by a cell or more."""
+    shift_m = abs(interval.range_per_rate_s) * how.fastest_m_per_s
+    if shift_m < interval.waveform.range_cell_m:
+        return []
+    return [
+        f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
+        f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for each "
+        "m/s more, which its error does not hold"
     ]
 
 

@@ -112,6 +112,15 @@ def stitch(
     return StitchedChannel(wide_channel.reshape(shape), wide, motion[order].ravel(), unsorted, late)
 
 
+def range_per_rate_s(carriers_hz: Array, step_times_s: Array) -> float:
+    """Range by which carrier steps (n_steps,) at their times shift an echo, m for each m/s of its
+    range rate: fc / (df/dt) for steps one after the other, little for steps in random order.
+    """
+    f, t = carriers_hz - carriers_hz.mean(), step_times_s - step_times_s.mean()
+    spread = float(f @ f)
+    return float(carriers_hz.mean() * (f @ t) / spread) if spread else 0.0
+
+
 def _wideband_waveform(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:
     """The waveform of all steps together, with the carrier at its subcarrier N // 2."""
     gaps = np.diff(carriers) / waveform.bandwidth_hz

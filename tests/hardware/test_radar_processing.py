@@ -3,6 +3,7 @@
 Statistical bounds hold at a false-alarm rate of 1e-6 unless a test says otherwise.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from hardware.radar.detection import detect_echoes
 from hardware.radar.music import music
 from hardware.radar.process import Processing, frames, process
 from hardware.radar.screening import candidate_cells
-from hardware.radar.stitching import stitch
+from hardware.radar.stitching import range_per_rate_s, stitch
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import normalised_window
 from hardware.records import Flag
@@ -352,8 +353,23 @@ def test_motion_between_steps_is_taken_out() -> None:
     how = Processing(window="hann", cfar=Cfar(1e-6, guard=(3, 0)), range_rate_m_per_s=5.0)
     found = process(record, 0, how).detections[0]
     assert found.range_m == pytest.approx(6.0, abs=0.03)
-    ignored = process(record, 0, replace(how, range_rate_m_per_s=0.0)).detections[0]
-    assert abs(ignored.range_m - 6.0) > 0.2
+    ignored = process(record, 0, replace(how, range_rate_m_per_s=0.0))
+    shift = ignored.detections[0].range_m - 6.0
+    assert abs(shift) > 0.2
+    (told,) = (line for line in ignored.warnings if "carrier steps" in line)
+    assert "holds at a range rate of 0 m/s" in told
+    (per_rate,) = re.findall(r"shift it by ([\d.]+) m for each m/s", told)
+    assert float(per_rate) == pytest.approx(shift / 5.0, rel=0.05)
+
+
+def test_steps_in_random_order_shift_little() -> None:
+    """fc / (df/dt) of one after the other; of 400 random orders a fifth of that, rms."""
+    times, rng = 1e-3 * np.arange(25), np.random.default_rng(1)
+    due = CARRIERS.mean() / 20e9
+    assert range_per_rate_s(CARRIERS, times) == pytest.approx(due)
+    shuffled = [range_per_rate_s(rng.permutation(CARRIERS), times) for _ in range(400)]
+    assert np.sqrt(np.mean(np.square(shuffled))) == pytest.approx(due / np.sqrt(24), rel=0.15)
+    assert range_per_rate_s(CARRIERS[:1], times[:1]) == 0
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,9 @@ def test_designs_say_where_they_contradict_themselves() -> None:
     assert float(told) == pytest.approx(integral_db, abs=0.06)
     # 8 cells within the 10 ms: 20 log10 8 dB, and 1 dB of ripple.
     assert "19 dB weaker where detection looks for it" in fast[2]
+    (stepped,) = (line for line in load_radar("prototype").warnings(0, 1.0) if "steps" in line)
+    assert "shift an echo's range by 0.63 m" in stepped  # fc T / B: 2.5 GHz, 5.06 ms, 20 MHz
+    assert not any("steps" in line for line in load_radar("prototype").warnings(0, 0.01))
     short = changed(radar, waveform__prefix_s=0.4e-6).warnings()
     assert "protects 60.0 m of 153.5 m" in short[0]
 

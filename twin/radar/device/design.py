@@ -17,6 +17,7 @@ from twin.radar.device.design_warnings import (
     band_warnings,
     range_warnings,
     rate_warnings,
+    step_warnings,
 )
 from twin.radar.device.electronics import FrontEndDesign, Leakage, Oscillator
 from twin.radar.device.waveform import Band, Steps, Waveform
@@ -173,6 +174,7 @@ class RadarDesign(Entry):
             *band_warnings(self.ofdm, self.burst.carriers_hz, self.band, self.steps),
             *range_warnings(self.ofdm, farthest_m),
             *rate_warnings(self.ofdm, self.channel_waveform, fastest_m_per_s),
+            *step_warnings(self.burst, fastest_m_per_s),
             *antenna_warnings(self.antenna),
         ]
 

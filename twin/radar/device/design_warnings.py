@@ -6,14 +6,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.stitching import range_per_rate_s
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.device.antenna import Antenna
+from twin.radar.device.burst import Burst
 from twin.radar.device.waveform import Band, Steps
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
 _MIGRATION_DB = 10.0  # that an echo loses by moving through range cells, from which it is told
+_SHIFT = 0.1  # of a range cell, by which steps may shift a moving echo
 _MAX_EFFICIENCY = 1.05  # gain of a pattern, averaged over the sphere, from which it is warned of
 
 
@@ -83,6 +86,19 @@ def rate_warnings(
             "design",
             f"migration: at {fastest_m_per_s:.2f} m/s an echo crosses range cells within a "
             f"burst; it is {migration_db:.0f} dB weaker where detection looks for it",
+        )
+
+
+def step_warnings(burst: Burst, fastest_m_per_s: float) -> Iterator[CaptureWarning]:
+    """Of the fastest target's range rate, which shifts its range where the carrier is stepped."""
+    shift_m = abs(range_per_rate_s(burst.carriers_hz, burst.step_times_s)) * fastest_m_per_s
+    cell_m = burst.waveform.range_cell_m / len(burst.carriers_hz)
+    if shift_m > _SHIFT * cell_m:
+        yield CaptureWarning(
+            "ambiguous",
+            f"steps: at {fastest_m_per_s:.2f} m/s carrier steps one after the other shift an "
+            f"echo's range by {shift_m:.2g} m, unless the processing is told the rate "
+            "(range_rate_m_per_s)",
         )
 
 
