@@ -363,7 +363,7 @@ def test_motion_between_steps_is_taken_out() -> None:
 
 
 def test_steps_in_random_order_shift_little() -> None:
-    """fc / (df/dt) of one after the other; of 400 random orders a fifth of that, rms."""
+    """One after the other fc / (df/dt); 400 random orders a fifth of that, rms."""
     times, rng = 1e-3 * np.arange(25), np.random.default_rng(1)
     due = CARRIERS.mean() / 20e9
     assert range_per_rate_s(CARRIERS, times) == pytest.approx(due)
