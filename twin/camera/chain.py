@@ -11,7 +11,13 @@ from scipy.ndimage import uniform_filter
 from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
-from twin.camera.illumination import amplifier_residue, frame_signal, mean_signal
+from twin.camera.illumination import (
+    amplifier_residue,
+    frame_signal,
+    mean_signal,
+    residual_share,
+    switched_residue,
+)
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.detector.interface import check_detector, checked_exposure
@@ -248,9 +254,13 @@ class Chain:
 
     def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
         """These powers behind the amplifier, whose pole carries a share of each into the next."""
-        left_over = amplifier_residue(self.system)
-        if not left_over:
+        alone = amplifier_residue(self.system)
+        if not alone:
             return exposed_w
+        # The light has left its own share in the first exposure of a pattern already.
+        left_over, of_light = np.full((len(exposed_w), 1), alone), residual_share(self.system)
+        both = switched_residue(self.system)
+        left_over[:: len(self.shutters)] = (both - of_light) / (1 - of_light)
         dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
         before = np.concatenate([dark_w[None], exposed_w[:-1]])
         return exposed_w + left_over * (before - exposed_w)

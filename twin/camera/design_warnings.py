@@ -5,7 +5,7 @@ a narrow filter, diffraction, cells that light the same.
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.illumination import amplifier_residue, residual_share
+from twin.camera.illumination import amplifier_residue, residual_share, switched_residue
 from twin.camera.shutters import farthest_gate_m
 from twin.camera.verdict import quantisation_warnings
 from twin.detector import NoiseBudget
@@ -62,11 +62,15 @@ def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
 
 
 def lag_shares(system: System) -> dict[str, float]:
-    """Share of the preceding exposure in each exposure, by the field that causes it."""
+    """Share of the preceding exposure in each exposure, by the fields that cause it: each by itself
+    and, where there are two, both together.
+    """
     shares = {
         "emitter.switching_time_s": residual_share(system),
         "readout.bandwidth_hz": amplifier_residue(system),
     }
+    if all(shares.values()):
+        shares[" and ".join(shares)] = switched_residue(system)
     return {field: share for field, share in shares.items() if share}
 
 

@@ -58,20 +58,35 @@ def dark_share(system: System) -> float:
 
 
 def residual_share(system: System) -> float:
-    """Share of an exposure's light that belongs to the preceding pattern.
-
-    After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9.
-    """
-    switching = system.emitter.switching_time_s
-    decay_s = switching.value / math.log(9) if switching else 0.0
+    """Share of an exposure's light that belongs to the preceding pattern."""
+    decay_s = _switching_s(system)
     return system.acquisition.residue(decay_s) if decay_s else 0.0
 
 
 def amplifier_residue(system: System) -> float:
-    """Share of an exposure's charge that belongs to the preceding exposure: the amplifier's single
-    pole decays with tau = 1 / (2 pi bandwidth).
+    """Share of an exposure's charge that belongs to the preceding exposure, of light that changes
+    at once: the amplifier's single pole decays with tau = 1 / (2 pi bandwidth).
     """
+    decay_s = _amplifier_s(system)
+    return system.acquisition.residue(decay_s) if decay_s else 0.0
+
+
+def switched_residue(system: System) -> float:
+    """Share of an exposure's charge, where the pattern has changed before it, that belongs to the
+    preceding exposure: of the emitter's and the amplifier's decay together.
+    """
+    switching_s, amplifier_s = _switching_s(system), _amplifier_s(system)
+    if not switching_s or not amplifier_s:
+        return residual_share(system) + amplifier_residue(system)
+    return system.acquisition.residue_of_two(switching_s, amplifier_s)
+
+
+def _switching_s(system: System) -> float:
+    """After a switch the light decays with exp(-t / tau), tau = t_10-90 / ln 9."""
+    switching = system.emitter.switching_time_s
+    return switching.value / math.log(9) if switching else 0.0
+
+
+def _amplifier_s(system: System) -> float:
     bandwidth = system.readout.bandwidth_hz
-    if bandwidth is None:
-        return 0.0
-    return system.acquisition.residue(1 / (2 * math.pi * bandwidth.value))
+    return 1 / (2 * math.pi * bandwidth.value) if bandwidth else 0.0

@@ -16,6 +16,10 @@ Mode = Literal["differential", "plain", "reference", "s-matrix"]
 Duration = Annotated[Positive, Field(ge=1e-9, le=1e3)]
 
 
+#: Of two decays' times, below which their difference is rounding: then they are taken as equal.
+_ALIKE = 1e-4
+
+
 class Acquisition(Strict):
     """Which patterns are shown, and for how long."""
 
@@ -53,9 +57,24 @@ class Acquisition(Strict):
         """Share of an exposure that is still what was before it, where that decays with exp(-t/tau)
         from the switch on; integration begins when the dead time between patterns is over.
         """
+        return self._decayed_s2(tau_s) / (tau_s * self.integration_time_s.value)
+
+    def residue_of_two(self, tau_s: float, other_s: float) -> float:
+        """The same behind two stages, one after the other, each of which decays so: the second one
+        starts late, with what the first one leaves.
+        """
+        time, period = self.integration_time_s.value, self.pattern_period_s.value
+        apart, middle = tau_s - other_s, (tau_s + other_s) / 2
+        if abs(apart) > _ALIKE * middle:
+            return (self._decayed_s2(tau_s) - self._decayed_s2(other_s)) / (apart * time)
+        begin, end = ((2 * middle + t) * math.exp(-t / middle) for t in (period - time, period))
+        return (begin - end) / time
+
+    def _decayed_s2(self, tau_s: float) -> float:
+        """Integral of tau exp(-t / tau) over an exposure."""
         time = self.integration_time_s.value
         dead = self.pattern_period_s.value - time
-        return tau_s / time * math.exp(-dead / tau_s) * -math.expm1(-time / tau_s)
+        return tau_s**2 * math.exp(-dead / tau_s) * -math.expm1(-time / tau_s)
 
 
 class TimeOfFlight(Strict):
