@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twin.camera.illumination import dark_share
 from twin.camera.shutters import shutters
 from twin.detector import FrontEnd, NoiseBudget, noise_budget
+from twin.detector.flicker import in_image
 from twin.files import InputError
 from twin.optics.passband import passband
 from twin.optics.radiometry import (
@@ -165,12 +166,13 @@ class _SystemBudget:
         opened = float(np.mean([shutter.open_share for shutter in shutters(self.system)]))
         half = (1 + dark_share(self.system)) / 2 * self.watt(distance_m, reflectance)
         fluctuation = self.system.emitter.intensity_noise
-        return noise_budget(
+        budget = noise_budget(
             np.array([half]),
             opened * reflectance * self.sun_w,
             self._front_end(time_s),
             fluctuation.value if fluctuation else 0.0,
         )
+        return in_image(budget, self.system.patterns)
 
     def snr(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Signal of a cell over noise of a pixel, summed over the shutters."""

@@ -20,6 +20,7 @@ from twin.camera.illumination import (
 )
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
+from twin.detector.flicker import in_image
 from twin.detector.interface import check_detector, checked_exposure
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
@@ -269,7 +270,9 @@ class Chain:
         """Budget at the mean of exposures."""
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
-        return self.front_end.noise_budget(signal_w, sun_w, relative)
+        budget = self.front_end.noise_budget(signal_w, sun_w, relative)
+        is_own = not isinstance(self.front_end, FrontEnd)
+        return budget if is_own else in_image(budget, self.patterns)
 
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import Patterns, PatternSet, RasterScan, fwht_in_place
-from hardware.reconstruction.measurements import measured_values
-from hardware.reconstruction.sensing import Sensing
+from hardware.patterns import Patterns, RasterScan
 from twin.camera.chain import Chain, Powers
 from twin.camera.illumination import ideal_signal
+from twin.detector.inverse import inverse_image
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -85,15 +84,8 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
 
 def _image(electrons: Array, patterns: Patterns) -> Array:
     """Measured cells (n_cells, n_detectors) of exposures (n_exposures, n_detectors)."""
-    if isinstance(patterns, RasterScan):
-        each = 2 if patterns.mode == "differential" else 1
-        return electrons[::each] - (electrons[1::2] if each == 2 else 0.0)
-    values = measured_values(electrons, patterns)
-    if not isinstance(patterns, PatternSet):
-        return (Sensing(patterns).pseudo_inverse @ values)[~patterns.unmeasured_cells]
-    coefficients = np.zeros((patterns.n_cells, electrons.shape[-1]))
-    coefficients[patterns.indices] = values
-    return fwht_in_place(coefficients)[~patterns.unmeasured_cells] / patterns.n_cells
+    image = inverse_image(electrons, patterns)
+    return image if isinstance(patterns, RasterScan) else image[~patterns.unmeasured_cells]
 
 
 def _against(true: Array, image: Array, patterns: Patterns) -> Distortion:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from hardware.records import Flag
+from twin.detector.flicker import FLICKER, OF_A_PAIR
 from twin.detector.noise import NoiseBudget
 from twin.errors import InputError
 from twin.system import System
@@ -17,9 +18,6 @@ Array = NDArray[np.float64]
 #: Above this mean a Poisson draw is a normal one: `Generator.poisson` spreads wrongly from 1e14 on
 #: and fails near 9.2e18, while the skewness of 1e12 counts is 1e-6.
 _NORMAL_FROM = 1e12
-#: 2 x 4 x the integral of sin(u)^2 / u from 0 to pi/2: what the difference of two exposures in turn
-#: keeps of 1/f noise, per white variance and corner frequency times period.
-_FLICKER_OF_A_PAIR = 6.593
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,7 @@ def noise_budget(
     """Budget at the mean of the exposures ``signal_w``, W, and of the background.
 
     ``emitter_noise``: relative fluctuation of the emitter. 1/f noise is counted as it survives the
-    difference of a pair.
+    difference of a pair (`flicker.in_image`: as it survives other sets).
     """
     shot = front_end.shot_variance
     signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
@@ -144,8 +142,8 @@ def noise_budget(
             "shot noise of the dark current": float(np.sqrt(shot * front_end.dark_e)),
             "Johnson noise of the amplifier": front_end.johnson_e,
             "read noise": front_end.read_e,
-            "1/f noise of the amplifier": front_end.amplifier_e
-            * float(np.sqrt(_FLICKER_OF_A_PAIR / 2 * front_end.flicker_cycles)),
+            FLICKER: front_end.amplifier_e
+            * float(np.sqrt(OF_A_PAIR / 2 * front_end.flicker_cycles)),
             "fluctuation of the emitter": emitter_noise * signal,
             "quantisation": front_end.electrons_per_count / float(np.sqrt(12)),
         },
