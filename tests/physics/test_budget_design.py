@@ -41,6 +41,13 @@ def wall(distance_m: float, reflectance: float) -> Scene:
         ("workable", '[detector]\npart = "ingaas-apd-200"\n', 2e-3),
         ("workable", "[time_of_flight]\nmodulation_hz = [1e7]\ncontrast = 0.8\n", 2e-3),
         ("line-256x16", "", 2e-2),  # rendered with 1 % of error
+        ("workable", "[optics]\nfield_of_view_deg = 40.0\n", 1e-2),  # sees more than is lit
+        ("workable", "[optics]\nfield_of_view_deg = 10.0\n", 2e-2),  # cuts cells at its edge
+        (
+            "workable",
+            '[optics]\nfield_of_view_deg = 26.0\nfield_stop = "detector"\n',  # a square in a disc
+            1e-2,
+        ),
     ],
 )
 def test_the_budget_is_that_of_the_rendered_camera(system, base, text, within) -> None:
@@ -54,11 +61,24 @@ def test_the_budget_is_that_of_the_rendered_camera(system, base, text, within) -
     assert row.budget.signal_e == pytest.approx(taken.noise.signal_e, rel=within)
     assert row.budget.background_e == pytest.approx(taken.noise.background_e, rel=within)
     assert row.budget.total_noise_e == pytest.approx(taken.noise.total_noise_e, rel=within)
-    assert row.snr_per_pixel == pytest.approx(taken.snr.mean(), rel=within)
+    assert row.snr_per_pixel == pytest.approx(taken.snr[taken.lit].mean(), rel=within)
     top = 2**taken.record.adc_bits - 1
     assert row.fill == pytest.approx(taken.record.counts.max() / top, rel=0.02)
     assert not row.saturates
     assert not taken.void
+
+
+def test_noise_that_drifts_over_the_frame_is_in_the_budget_too(system) -> None:
+    """Root mean square over the cells, as of the rendered camera; more than pairs leave of it."""
+    text = '[acquisition]\nmode = "{}"\n[readout]\nflicker_corner_hz = 3e3\n'
+    totals = []
+    for mode in ("plain", "differential"):
+        made = system(text.format(mode))
+        (row,) = wall_rows(made, [Z], [RHO])
+        taken = capture(wall(Z, RHO), made, fidelity=Fidelity(16, 1))
+        assert row.budget.total_noise_e == pytest.approx(taken.noise.total_noise_e, rel=2e-3)
+        totals.append(row.budget.total_noise_e)
+    assert totals[0] > 1.2 * totals[1]
 
 
 def test_time_and_distance_are_where_the_snr_is_one(system) -> None:

@@ -7,10 +7,11 @@ import pytest
 from designs import changed
 from scipy import constants, integrate
 
+from twin.budget.table1 import link_of
 from twin.optics.radiometry import collection, mean_cos_power, wall_power_w
 from twin.optics.solar_irradiance import sun_band_irradiance
 from twin.optics.spectra import in_band_fraction
-from twin.system import load_system
+from twin.system import Part, load_system
 
 
 def test_sun_in_the_band_is_that_of_the_standard() -> None:
@@ -96,6 +97,25 @@ def test_baseline_closed_form_against_brute_force() -> None:
     watts = intensity * lens.transmission * lens.pupil_area_m2
     brute = watts * np.sum(np.where(seen, solid_angle * per_steradian, 0))
     assert wall_power_w(system, 0.5, z, b) == pytest.approx(brute, rel=1e-3)
+
+
+@pytest.mark.parametrize(("outline", "lit_deg"), [("disc", 8.0), ("disc", 16.0), ("square", 8.0)])
+def test_a_field_that_is_lit_in_part_against_brute_force(outline: str, lit_deg: float) -> None:
+    """A field of 20 degrees, whose disc cuts the corners of a lit square of 16 degrees."""
+    stop = {"disc": "detector", "square": "matched"}[outline]
+    made = changed(
+        load_system("paper"), optics__field_stop=stop, emitter__field_of_view_deg=lit_deg
+    )
+    lens, half, n = collection(made), math.tan(math.radians(lit_deg) / 2), 2000
+    x = ((np.arange(n) + 0.5) / n * 2 - 1) * half
+    u, v = np.meshgrid(x, x)
+    seen = (outline == "square") | (np.hypot(u, v) <= lens.tan_half_field)
+    mean = np.mean(seen * (1 + u**2 + v**2) ** -3.5)
+    watts = made.emitter.radiant_intensity_w_per_sr.value * lens.transmission * lens.pupil_area_m2
+    due = watts * 0.5 / np.pi * mean * 4 * half**2 / 4.0
+    assert wall_power_w(made, 0.5, 2.0) == pytest.approx(due, rel=1e-3)
+    share = link_of(made, Part(name="own", detector=made.detector)).lit_share
+    assert share == pytest.approx(np.mean(seen) * 4 * half**2 / lens.field_area, rel=1e-3)
 
 
 def test_ten_centimetres_of_baseline_lose_28_percent_at_1_m() -> None:

@@ -21,6 +21,7 @@ from twin.optics.radiometry import (
     Collection,
     cell_centres,
     collection,
+    lit_tan,
     mean_cos_power,
     wall_power_w,
 )
@@ -129,15 +130,14 @@ class _SystemBudget:
         lens = collection(system)
         dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
         sky = passband(system, system.sky or dark)
-        angles, outside = _field(lens)
-        emitted, sent = np.cos(angles) ** 7 * ~outside, np.cos(angles) ** 4 * ~outside
-        degrees = np.degrees(angles)
+        lit_deg, emitted = _over(lens, min(lens.tan_half_field, lit_tan(system)), 7)
+        degrees, sent = _over(lens, lens.tan_half_field, 4)
         sun = float(np.sum(sent * sky.sun_at(degrees)) / sent.sum()) / math.pi
         collected = lens.transmission * lens.pupil_area_m2 * lens.field_area
         return cls(
             system=system,
             lens=lens,
-            in_band=float(np.sum(emitted * sky.emitter_at(degrees)) / emitted.sum()),
+            in_band=float(np.sum(emitted * sky.emitter_at(lit_deg)) / emitted.sum()),
             sun_w=sun
             * collected
             * mean_cos_power(4, lens.tan_half_field, lens.outline)
@@ -178,9 +178,16 @@ class _SystemBudget:
         """Signal of a cell over noise of a pixel, summed over the shutters."""
         system, n_shutters = self.system, len(shutters(self.system))
         lit = self.watt(distance_m, reflectance) * self._front_end(time_s).electrons_per_watt
-        cell = (1 - dark_share(system)) * lit / system.patterns.n_cells
+        cell = (1 - dark_share(system)) * lit / (system.patterns.n_cells * self._seen_share)
         noise = self.budget(distance_m, reflectance, time_s).pixel_noise_e(system.patterns)
         return math.sqrt(n_shutters) * cell / noise
+
+    @property
+    def _seen_share(self) -> float:
+        """Of the lit cells, those in a square field; of another outline all."""
+        if self.lens.outline == "disc":
+            return 1.0
+        return min(self.lens.tan_half_field / lit_tan(self.system), 1.0) ** 2 or 1.0
 
     def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Mean of the brightest exposure, all cells lit, over the converter's range, or over the
@@ -244,8 +251,12 @@ def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: f
     return ends[0] if off(low) > 0 else math.exp(brentq(off, low, high, xtol=1e-12))
 
 
-def _field(lens: Collection) -> tuple[Array, NDArray[np.bool_]]:
-    """Angles to the axis over the square around the field, and whether each point is outside."""
-    side = cell_centres(_PARTS) * lens.tan_half_field
+def _over(lens: Collection, half: float, power: int) -> tuple[Array, Array]:
+    """Angles to the axis, degrees, over a square of ``half`` a side on the plane at distance 1, and
+    cos^power there; 0 outside the field.
+    """
+    side = cell_centres(_PARTS) * half
     radius = np.hypot(side[:, None], side)
-    return np.arctan(radius), (lens.outline == "disc") & (radius > lens.tan_half_field)
+    angles = np.arctan(radius)
+    outside = (lens.outline == "disc") & (radius > lens.tan_half_field)
+    return np.degrees(angles), np.cos(angles) ** power * ~outside

@@ -19,7 +19,8 @@ class OpticalLink:
 
     ``in_band``: share of the emitter's line inside the filter. ``sun_w_per_m2``: irradiance of the
     sun in the band, at normal incidence on the object. ``shot_variance``: variance over mean of the
-    electrons at the detector's terminals, M F of an avalanche photodiode.
+    electrons at the detector's terminals, M F of an avalanche photodiode. ``lit_share``: of the
+    detector's field, what the emitter lights.
     """
 
     radiant_intensity_w_per_sr: Number
@@ -31,11 +32,12 @@ class OpticalLink:
     dark_current_a: Number
     sun_w_per_m2: Number
     shot_variance: Number = 1.0
+    lit_share: Number = 1.0
 
     def signal_e_per_s(self, reflectance: Number, distance_m: Number) -> Number:
         """Photo-electrons per second from the emitter, all cells lit."""
         irradiance = self.radiant_intensity_w_per_sr * self.in_band / np.square(distance_m)
-        return self._electrons(irradiance, reflectance)
+        return self._electrons(self.lit_share * irradiance, reflectance)
 
     def background_e_per_s(self, reflectance: Number) -> Number:
         """Photo-electrons per second from the sun, and thermal ones."""

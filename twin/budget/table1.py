@@ -13,7 +13,7 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.files import InputError
-from twin.optics.radiometry import cell_centres
+from twin.optics.radiometry import cell_centres, collection, lit_tan
 from twin.optics.solar_irradiance import sun_in_band
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w
 from twin.system import Part, Photodetector, System
@@ -78,6 +78,21 @@ def link_of(
         dark_current_a=detector.dark_current_a.value,
         sun_w_per_m2=sun,
         shot_variance=detector.multiplication * detector.excess_noise,
+        lit_share=_lit_share(system),
+    )
+
+
+def _lit_share(system: System) -> float:
+    """Of the detector's field, what the emitter lights, both on one axis."""
+    lens, lit = collection(system), lit_tan(system)
+    if lit >= lens.tan_half_field:
+        return 1.0
+    if lens.outline == "square":
+        return (lit / lens.tan_half_field) ** 2
+    radius = lens.tan_half_field  # of a disc, which may cut the square's corners
+    across = (np.arange(1000) + 0.5) / 1000 * lit
+    return (
+        float(4 * lit * np.mean(np.minimum(lit, np.sqrt(radius**2 - across**2)))) / lens.field_area
     )
 
 
@@ -179,7 +194,8 @@ def _elasticity(link: OpticalLink, read_e: float, distance_m: float) -> dict[str
         )
         / (2 * step)
         for name, value in vars(link).items()
-        if name != "shot_variance" or value != 1  # only an avalanche has one to change
+        # Only an avalanche has a variance to change, and only a narrow emitter a share.
+        if name not in ("shot_variance", "lit_share") or value != 1
     }
     more, less = (log_time(link, read_e * (1 + s * step)) for s in (1, -1))
     moves["read_noise_e"] = (more - less) / (2 * step)

@@ -82,6 +82,13 @@ def near_pupil_m(lens: Collection, distance_m: float) -> float:
     return radius if distance_m < FAR * radius else 0.0
 
 
+def lit_tan(system: System) -> float:
+    """Tangent of half the emitter's square field; without a lens it lights all that is seen."""
+    if not system.emitter.has_lens:
+        return math.inf
+    return math.tan(math.radians(system.emitter.field_of_view_deg.value) / 2)
+
+
 def wall_power_w(
     system: System, reflectance: float, distance_m: float, baseline_m: float = 0.0
 ) -> float:
@@ -89,29 +96,33 @@ def wall_power_w(
 
     I rho tau A / ((4 N^2 + 1) z^2) x <cos^7> for a square field at baseline 0: cos^3 from the
     emitter's irradiance on the wall, cos^4 from the flat pupil and the lens's image plane. With a
-    horizontal baseline b the common part of two square fields remains, 1 - b / (2 z tan), and the
-    cosines belong to slightly different directions; the integral is over that part. Near the pupil,
-    of radius R, the distance d to it counts as sqrt(d^2 + R^2) (`Device.disc_radius_m`).
+    horizontal baseline b, and where the emitter's field is narrower than the detector's, the common
+    part of both remains, of two alike square fields 1 - b / (2 z tan), and the cosines belong to
+    slightly different directions; the integral is over that part. Near the pupil, of radius R, the
+    distance d to it counts as sqrt(d^2 + R^2) (`Device.disc_radius_m`).
     """
     lens = collection(system)
     if lens.outline != "square" and baseline_m:
         raise InputError("closed form with a baseline holds for square fields only")
     t, shift = lens.tan_half_field, baseline_m / distance_m
-    near = (near_pupil_m(lens, distance_m) / distance_m) ** 2
+    lit, near = lit_tan(system), (near_pupil_m(lens, distance_m) / distance_m) ** 2
     node, weight = np.polynomial.legendre.leggauss(64)
-    if lens.outline == "square":
-        low, high = max(-t, shift - t), min(t, shift + t)
+    if lens.outline == "square" or lit < t:
+        low, high = max(-lit, shift - t), min(lit, shift + t)
         if low >= high:
             return 0.0
-        x = (low + high) / 2 + (high - low) / 2 * node
-        y = t * node
-        from_emitter = 1 + x[:, None] ** 2 + y**2
-        to_detector = 1 + (x[:, None] - shift) ** 2 + y**2
+        x = ((low + high) / 2 + (high - low) / 2 * node)[:, None]
+        up = np.full_like(x, min(lit, t))
+        if lens.outline == "disc":
+            up = np.minimum(up, np.sqrt(np.maximum(t**2 - x**2, 0)))
+        y = up * node
+        from_emitter = 1 + x**2 + y**2
+        to_detector = 1 + (x - shift) ** 2 + y**2
         # emitter: cos^3 per tangent area; wall and pupil: cos^2; distance: cos^2
-        kernel = from_emitter**-1.5 / to_detector**2
+        kernel = up * from_emitter**-1.5 / to_detector**2
         if near:
             kernel /= 1 + near / to_detector
-        integral = float(weight @ kernel @ weight) * (high - low) / 2 * t
+        integral = float(weight @ kernel @ weight) * (high - low) / 2
     elif near:
         cos2 = 1 / (1 + t**2 * (node + 1) / 2)
         integral = float(weight @ (cos2**3.5 / (1 + near * cos2)) / 2) * lens.field_area
