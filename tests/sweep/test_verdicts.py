@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from designs import changed
 from studies import CLOSED, SMALL, write
 
 from twin import cli
+from twin.budget import wall_rows
 from twin.camera import capture
 from twin.files import InputError
 from twin.scene import load_scene
@@ -20,6 +22,7 @@ from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.inputs import inputs_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import plot_front, plot_plane
+from twin.system import load_system
 
 
 def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Path) -> None:
@@ -58,6 +61,42 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
     # Signal knows nothing of the sun: without the void point the diode is all that moves it.
     shares = sensitivities(data, "signal_e")
     assert shares["system.detector.width_m"].first == pytest.approx(1.0)
+
+
+def test_a_closed_point_that_saturates_is_void_as_in_the_budget(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`workable` at 100 klx: of the apertures those whose budget says that all cells lit saturate,
+    one pixel's and without the field's cosines. The widest would have the best SNR.
+    """
+    (tmp_path / "bright.toml").write_text(
+        'base = "workable"\n[sky]\nilluminance_lx = 1e5\n[optics]\nf_number = 1.0\n'
+    )
+    head = CLOSED.replace(', "maximum_distance_m"', "") + f'system = "{tmp_path / "bright.toml"}"\n'
+    stops = [0.8, 1.0, 2.0, 4.0, 8.0]
+    path = write(tmp_path, f'[grid]\n"system.optics.f_number" = {stops}\n', head)
+    summary = run_sweep(path, out=tmp_path / "out", workers=1)
+    data = open_sweep(tmp_path / "out").load()
+    rows = [
+        wall_rows(changed(load_system(tmp_path / "bright.toml"), optics__f_number=n), [5.0], [0.5])
+        for n in stops
+    ]
+    saturates = [row.saturates for (row,) in rows]
+    assert saturates == [True, True, True, False, False]
+    np.testing.assert_array_equal(data["void"], saturates)
+    np.testing.assert_array_equal(data["warned.saturated"], saturates)
+    first = data["warned.saturated"].attrs["first"]
+    (fill,) = re.findall(r"([\d.]+) % of the converter's range", first)
+    assert float(fill) / 100 == pytest.approx(rows[0][0].fill, rel=0.05)
+    assert summary.n_void == 3
+    np.testing.assert_array_equal(np.isnan(column(data, "snr")), saturates)
+    assert np.isfinite(column(data, "minimum_time_s")).all()
+    saved = ["--metric", "snr", "--save", str(tmp_path / "b.toml")]
+    monkeypatch.setattr(sys, "argv", ["twin", "show", str(tmp_path / "out"), *saved])
+    with pytest.raises(SystemExit):
+        cli.main()
+    said = " ".join(capsys.readouterr().out.split())
+    assert "best snr: point 3 (signal over noise of one exposure with all cells lit" in said
 
 
 def test_a_sweep_judges_by_the_cells_that_receive_light(tmp_path: Path) -> None:

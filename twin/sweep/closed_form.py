@@ -5,6 +5,7 @@ holds a number. Text, and what is integrated over a vendor's curve, is taken val
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import groupby, product
 from typing import Any, TypeVar
 
@@ -18,6 +19,7 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.budget.table1 import link_of
+from twin.detector import FrontEnd
 from twin.files import InputError
 from twin.sweep.inputs import Inputs
 from twin.sweep.parameters import LINK, check_bounds
@@ -59,8 +61,18 @@ _OF_THE_POINT = LINK | {
 }
 
 
-def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Array]:
-    """Metrics of points, (n,) each. ``columns``: what is set in the points, by parameter.
+@dataclass(frozen=True, eq=False)
+class ClosedForm:
+    """Metrics of points by name, (n,) each, and of each point its ``fill``: all that is collected
+    with all cells lit, over the converter's range, or over the well if that is less.
+    """
+
+    metrics: dict[str, Array]
+    fill: Array
+
+
+def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
+    """Points of a study. ``columns``: what is set in the points, by parameter.
 
     Without ``link.distance_m`` it is 5 m, without ``link.reflectance`` 0.5.
     Raises InputError naming the parameter of a combination that can't be.
@@ -68,12 +80,18 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
     columns = columns or {"system": np.array([study.system])}  # nothing is set or varied
     n = len(next(iter(columns.values())))
     _check(columns)
-    values = {name: np.empty(n) for name in (*OpticalLink.__dataclass_fields__, "time", "read")}
+    own = ("time", "read", "per_electron", "per_rate", "offset", "well")
+    values = {name: np.empty(n) for name in (*OpticalLink.__dataclass_fields__, *own)}
     for points, system, link in _links(study, columns, inputs):
         for name in OpticalLink.__dataclass_fields__:
             values[name][points] = getattr(link, name)
         values["time"][points] = system.acquisition.integration_time_s.value
         values["read"][points] = system.readout.read_noise_e.value
+        for name, value in _of_range(system).items():
+            values[name][points] = value
+    per_electron, per_rate, offset, well = (
+        values.pop(name) for name in ("per_electron", "per_rate", "offset", "well")
+    )
     time = columns.get("system.acquisition.integration_time_s", values.pop("time"))
     read = columns.get("system.readout.read_noise_e", values.pop("read"))
     link = OpticalLink(**values)
@@ -91,7 +109,28 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> dict[str, Arr
             link.signal_e_per_s(reflectance, 1.0), background, time, read, **shot
         ),
     }
-    return {name: np.broadcast_to(results[name], (n,)) for name in study.metrics}
+    rate = signal + background
+    fill = np.maximum(offset + rate * (per_electron * time + per_rate), rate * time * well)
+    return ClosedForm(
+        {name: np.broadcast_to(results[name], (n,)) for name in study.metrics},
+        np.broadcast_to(fill, (n,)),
+    )
+
+
+def _of_range(system: System) -> dict[str, float]:
+    """What the offset takes of the converter's range, and an electron of it or, behind an amplifier
+    that averages, an electron per second; and what an electron takes of one pixel's well.
+    """
+    front_end, top = FrontEnd.of(system), 2**system.readout.adc_bits.value - 1
+    averages = system.readout.transimpedance_ohm is not None
+    of_electron = 1 / (front_end.electrons_per_count * top)
+    exposure_s = system.acquisition.integration_time_s.value
+    return {
+        "per_electron": 0.0 if averages else of_electron,
+        "per_rate": of_electron * exposure_s if averages else 0.0,
+        "offset": front_end.offset_counts / top,
+        "well": system.pixels_per_detector / front_end.full_well_e,
+    }
 
 
 def _links(

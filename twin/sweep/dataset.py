@@ -119,10 +119,12 @@ def dataset(
     for index, text in progress.errors.items():
         error[index] = text
     data["error"] = (names, error.reshape(shape), {"long_name": "why a point failed"})
-    if study.model == "rendered":
-        for side, name in VOID.items():
-            marks = {"long_name": f"the {side}'s record is void"}
-            data[name] = (names, marked(progress.void.get(side, [])), marks)
+    for side, name in VOID.items():
+        is_closed = study.model == "closed-form"
+        if is_closed and name != VOID["camera"]:
+            continue
+        why = "all cells lit saturate" if is_closed else f"the {side}'s record is void"
+        data[name] = (names, marked(progress.void.get(side, [])), {"long_name": why})
     if (coarse := coarse_study(study)) is not None:
         left = np.ones(study.n_points, np.bool_)
         left[list(progress.refined)] = False
@@ -161,8 +163,8 @@ def dataset(
 
 def _void_columns(study: Study, metric: str) -> list[str]:
     """Columns that say where a metric means nothing; a user's own may be of both devices."""
-    if study.model == "closed-form":
-        return []
+    if study.model == "closed-form":  # rates are those of the light, times of another exposure
+        return [VOID["camera"]] if metric == "snr" else []
     if is_own(metric):
         return list(VOID.values())
     return [VOID["radar" if RENDERED[metric].of_radar else "camera"]]

@@ -135,9 +135,13 @@ def _captures(outcome: Outcome) -> Iterator[tuple[str, Any]]:
 def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
     try:
         with np.errstate(all="ignore"):  # told of by point
-            values = closed_form(study, study.columns(start, stop), inputs)
-        columns = {n: np.asarray(v, np.float64) for n, v in values.items()}
+            found = closed_form(study, study.columns(start, stop), inputs)
+        columns = {n: np.asarray(v, np.float64) for n, v in found.metrics.items()}
         chunk = Chunk(np.arange(start, stop), columns)
+        for k in np.flatnonzero(found.fill >= 1).tolist():
+            text = f"all cells lit are {100 * found.fill[k]:.3g} % of the converter's range or well"
+            chunk.warnings.setdefault("saturated", {})[start + k] = text
+            chunk.void.setdefault("camera", []).append(start + k)
         for name, column in chunk.values.items():
             for i in np.flatnonzero(np.isnan(column)):
                 why = f"InputError: {name} is not a number: values beyond what float64 holds"

@@ -23,8 +23,13 @@ class Named:
 
 #: Said with what is solved for: at the time or distance found, either may be another.
 _NOISE_ALONE = "of noise alone: neither lag nor clipping is counted"
+_ALL_LIT = f"of one exposure with all cells lit, {_NOISE_ALONE}"
 RENDERED = {
-    "snr_median": Named("1", "signal over noise per pixel, median of those that are lit"),
+    "snr_median": Named(
+        "1",
+        "signal over noise per pixel, median of those that are lit, of noise alone: what patterns "
+        "that are not shown would add is not counted",
+    ),
     "snr_above_1": Named("1", "share of lit pixels above their noise"),
     "signal_e": Named("e", "signal of one average exposure"),
     "background_e": Named("e", "sun in one exposure", better="less"),
@@ -46,9 +51,9 @@ RENDERED = {
 CLOSED_FORM = {
     "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit"),
     "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current"),
-    "snr": Named("1", f"signal over noise of one exposure with all cells lit, {_NOISE_ALONE}"),
-    "minimum_time_s": Named("s", f"integration for SNR 1, {_NOISE_ALONE}", better="less"),
-    "maximum_distance_m": Named("m", f"distance for SNR 1, {_NOISE_ALONE}"),
+    "snr": Named("1", f"signal over noise {_ALL_LIT}"),
+    "minimum_time_s": Named("s", f"integration for SNR 1 {_ALL_LIT}", better="less"),
+    "maximum_distance_m": Named("m", f"distance for SNR 1 {_ALL_LIT}"),
 }
 
 
