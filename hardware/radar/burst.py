@@ -47,7 +47,7 @@ class DemodulatedBurst:
         Amplitude of the leakage whose phase noise was subtracted: what is left of it, the noise
         that is uneven, has the ratios of its receivers. None where there was none.
     whole
-        False when a gap or an overflow cut the burst short; ``warnings`` say where.
+        False when a loss of data cut the burst short; ``warnings`` say where.
     middle_ns
         Device clock in the middle of the slots, from which ``waveform`` counts their times.
     """
@@ -74,7 +74,7 @@ def demodulate(
     reference_delay_s: float | None = None,
     range_rate_m_per_s: float = 0.0,
 ) -> DemodulatedBurst:
-    """Demodulate a burst up to its first gap or overflow.
+    """Demodulate a burst up to its first loss of data, see `usable_part`.
 
     Parameters
     ----------

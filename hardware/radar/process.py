@@ -263,7 +263,7 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Results of all bursts, up to and including the first one cut short by a gap or overflow."""
+    """Results of all bursts, up to and including the first one cut short by a loss of data."""
     for burst in range(len(record.iq)):
         frame = process(record, burst, how, waveform=waveform)
         left = len(record.iq) - burst - 1
