@@ -8,7 +8,7 @@ from pydantic import model_validator
 from scipy import constants
 
 from hardware.records import RadarFrontEnd
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.files import InputError, catalog_folder
 from twin.radar.device.antenna import Antenna, Elements
 from twin.radar.device.burst import Burst
@@ -126,6 +126,11 @@ class RadarDesign(Entry):
         """From the lowest subcarrier of all steps to the highest."""
         carriers = self.burst.carriers_hz
         return float(carriers[-1] - carriers[0] + self.ofdm.bandwidth_hz)
+
+    @property
+    def range_cell_m(self) -> float:
+        """Range resolution of all steps together."""
+        return C_M_PER_S / (2 * self.total_bandwidth_hz)
 
     @property
     def channel_waveform(self) -> OfdmWaveform:
