@@ -25,6 +25,7 @@ from twin.warned import CaptureWarning
 
 _MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
 _MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
+_STEP_OFF = 1e-6  # of a step's bandwidth, by which the next may begin elsewhere than at its end
 _REFERENCE_K = 290.0  # of noise figures, by definition
 
 
@@ -65,12 +66,24 @@ class RadarDesign(Entry):
                 f"elements.transmitters_m: {len(burst.transmitters_m)} take turns in "
                 f"{wave.n_slots} slots"
             )
+        if steps > 1:
+            self._check_spacing()
         symbols = wave.n_slots * wave.slot_period_s / wave.symbol_s
         if self.oscillator and symbols > _MOST_SYMBOLS:
             raise InputError(
                 f"oscillator: {symbols:.3g} symbols in a step, expected at most {_MOST_SYMBOLS}"
             )
         return self
+
+    def _check_spacing(self) -> None:
+        """Raise InputError unless the bands of the steps touch: only then they make one band."""
+        assert self.steps is not None
+        spacing_hz, bandwidth_hz = self.steps.spacing_hz.value, self.ofdm.bandwidth_hz
+        if abs(spacing_hz / bandwidth_hz - 1) > _STEP_OFF:
+            raise InputError(
+                f"steps.spacing_hz = {spacing_hz:.9g}: expected the bandwidth of one step, "
+                f"n_subcarriers x subcarrier_spacing_hz = {bandwidth_hz:.9g}"
+            )
 
     @property
     def ofdm(self) -> OfdmWaveform:
@@ -175,7 +188,7 @@ class RadarDesign(Entry):
             What the scene holds.
         """
         return [
-            *band_warnings(self.ofdm, self.burst.carriers_hz, self.band, self.steps),
+            *band_warnings(self.ofdm, self.burst.carriers_hz, self.band),
             *range_warnings(self.ofdm, farthest_m),
             *rate_warnings(self.ofdm, self.channel_waveform, fastest_m_per_s),
             *antenna_warnings(self.antenna),

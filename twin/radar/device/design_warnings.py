@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.device.antenna import Antenna
-from twin.radar.device.waveform import Band, Steps
+from twin.radar.device.waveform import Band
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
@@ -17,9 +17,7 @@ _MIGRATION_DB = 10.0  # that an echo loses by moving through range cells, from w
 _MAX_EFFICIENCY = 1.05  # gain of a pattern, averaged over the sphere, from which it is warned of
 
 
-def band_warnings(
-    wave: OfdmWaveform, carriers_hz: Array, band: Band, steps: Steps | None
-) -> Iterator[CaptureWarning]:
+def band_warnings(wave: OfdmWaveform, carriers_hz: Array, band: Band) -> Iterator[CaptureWarning]:
     """Of a waveform, the carriers (n_steps,) that it steps through, and the band allowed."""
     low, high = carriers_hz[0] - wave.bandwidth_hz / 2, carriers_hz[-1] + wave.bandwidth_hz / 2
     if low < band.low_hz.value or high > band.high_hz.value:
@@ -27,12 +25,6 @@ def band_warnings(
             "design",
             f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
             f"{band.low_hz.value / 1e9:g}-{band.high_hz.value / 1e9:g} GHz",
-        )
-    if steps and steps.spacing_hz.value > wave.bandwidth_hz * (1 + 1e-9):
-        yield CaptureWarning(
-            "design",
-            f"steps: {steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between "
-            f"bands of {wave.bandwidth_hz / 1e6:g} MHz",
         )
 
 
