@@ -89,14 +89,20 @@ def demodulate(
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
-    Raises InputError for another waveform, for transmitters without a regular TDM schedule, or
-    where nothing can be used.
+    Raises InputError for another waveform, for a reference delay that it cannot tell, for
+    transmitters without a regular TDM schedule, or where nothing can be used.
     """
     from hardware.records.radar import RadarRecord
 
     check_kind("record", record, RadarRecord, "hardware.read_radar_record")
     if waveform is not None and waveform != record.waveform:
         raise InputError(f"waveform: {waveform} is not the record's, {record.waveform}")
+    longest_s = record.waveform.max_delay_s
+    if reference_delay_s is not None and not abs(reference_delay_s) < longest_s:
+        raise InputError(
+            f"reference_delay_s: {reference_delay_s}, expected within the waveform's unambiguous "
+            f"delay, +/- {longest_s:.3g} s"
+        )
     part = usable_part(record, burst)
     schedule = tdm_schedule(record.transmitter[: part.n_slots])
     steps = range(part.n_steps)

@@ -40,8 +40,11 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
 
     Raises InputError where there is no such part, and for a burst that the record does not have.
     """
-    if not 0 <= burst < len(record.iq):
-        raise InputError(f"burst: {burst}, the record holds {len(record.iq)}")
+    if not (isinstance(burst, int | np.integer) and 0 <= burst < len(record.iq)):
+        raise InputError(
+            f"burst: {burst!s:.60}, the record holds {len(record.iq)}, expected a whole number "
+            "from 0 on below that"
+        )
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)

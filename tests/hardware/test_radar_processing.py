@@ -209,12 +209,54 @@ def test_the_greatest_of_factor_against_its_closed_form() -> None:
     [
         ({"false_alarm": 0.0}, "between 0 and 1"),
         ({"method": "so"}, "none of ca, go, os"),
-        ({"guard": (-1, 0)}, "guard: .* negative"),
+        ({"false_alarm": "x"}, "false_alarm: 'x', expected a number between 0 and 1"),
+        ({"guard": (-1, 0)}, "guard: -1, expected a whole number from 0 on"),
+        ({"guard": 6}, "guard: 6, expected cells along range and rate"),
+        ({"training": (8, 1.5)}, "training: 1.5, expected a whole number"),
     ],
 )
 def test_impossible_cfar(change, told: str) -> None:
     with pytest.raises(ValueError, match=told):
         replace(Cfar(), **change)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("oversampling", 0),
+        ("oversampling", 1.5),
+        ("at_most", -1),
+        ("per_cell", 0),
+        ("precision", "half"),
+        ("fastest_m_per_s", -1.0),
+        ("fastest_m_per_s", np.nan),
+        ("range_rate_m_per_s", np.nan),
+        ("reference_delay_s", np.inf),
+    ],
+)
+def test_impossible_processing(setting: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"^{setting}: {value!r}"):
+        Processing(**{setting: value})
+
+
+def test_arguments_are_checked_where_they_are_used(plain) -> None:
+    with pytest.raises(InputError, match=r"burst: 0\.5, .* expected a whole number"):
+        process(plain, 0.5)
+    with pytest.raises(InputError, match="precision: 'half' is none of double, single"):
+        demodulate(plain, precision="half")
+    with pytest.raises(InputError, match="oversampling: 0, expected a whole number from 1 on"):
+        range_doppler(demodulate(plain).channel, WIDE, oversampling=0)
+
+
+def test_a_reference_delay_is_within_the_unambiguous_one() -> None:
+    """It may be negative: of a reference that arrives before the clock's zero."""
+    early = (LEAK[0], -1e-9)
+    record = cube(STEP, [Echo((4.0, 0, 0))], carriers_hz=CARRIERS, leakage=early)
+    cfar = Cfar(1e-6, guard=(3, 0))
+    how = Processing(window="hann", cfar=cfar, reference_delay_s=early[1])
+    assert process(record, 0, how).detections[0].range_m == pytest.approx(4.0, abs=0.05)
+    with pytest.raises(InputError, match=r"reference_delay_s: -1\.0, expected within"):
+        process(record, 0, replace(how, reference_delay_s=-1.0))
 
 
 def test_an_empty_scene_gives_detections_at_the_asked_rate() -> None:

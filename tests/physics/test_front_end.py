@@ -405,6 +405,7 @@ def test_one_subcarrier_has_no_phase_noise_within_a_symbol() -> None:
             "timing_rms_s = 0.0",
             "n_subcarriers x n_slots x 4096 steps",
         ),
+        ("[leakage]\nlevel_db = -30.0\ndelay_s = 1.0", "leakage.delay_s = 1: expected less than"),
         *(
             (
                 "[waveform]\nn_subcarriers = 64\nn_slots = 16\n[steps]\ncount = 3\n"

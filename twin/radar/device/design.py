@@ -68,6 +68,11 @@ class RadarDesign(Entry):
             )
         if steps > 1:
             self._check_spacing()
+        if self.leakage and not self.leakage.delay_s.value < wave.max_delay_s:
+            raise InputError(
+                f"leakage.delay_s = {self.leakage.delay_s.value:g}: expected less than the "
+                f"unambiguous delay, 1 / subcarrier_spacing_hz = {wave.max_delay_s:.4g} s"
+            )
         symbols = wave.n_slots * wave.slot_period_s / wave.symbol_s
         if self.oscillator and symbols > _MOST_SYMBOLS:
             raise InputError(
