@@ -4,6 +4,9 @@
 of a library among them, is a fault of the software itself.
 """
 
+import math
+from numbers import Integral, Real
+
 
 class HardwareError(Exception):
     """What this package raises when something other than its own code is wrong."""
@@ -19,6 +22,18 @@ def check_kind(name: str, value: object, kind: type, given_by: str) -> None:
         raise InputError(
             f"{name} = {value!r:.60}: expected a {kind.__name__}, as {given_by} gives it"
         )
+
+
+def check_count(name: str, value: object, least: int = 1) -> None:
+    """Raise InputError unless an argument is a whole number from ``least`` on."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+        raise InputError(f"{name}: {value!r:.60}, expected a whole number from {least} on")
+
+
+def check_finite(name: str, value: object) -> None:
+    """Raise InputError unless an argument is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        raise InputError(f"{name}: {value!r:.60}, expected a finite number")
 
 
 class DeviceError(HardwareError, ValueError):

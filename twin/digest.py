@@ -14,7 +14,17 @@ from hardware.files import read_regular
 from hardware.own_functions import digest_of_given, is_file_function
 
 #: Words about values, not values: a better citation computes nothing new.
-_WORDS = {"description", "source", "assumed", "origin", "assumptions", "warnings", "notes", "path"}
+_WORDS = {
+    "description",
+    "source",
+    "assumed",
+    "origin",
+    "assumptions",
+    "warnings",
+    "notes",
+    "path",
+    "unknown_materials",
+}
 _ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
 
 

@@ -170,6 +170,10 @@ def _surface(request: Request) -> "LayeredSurface":
         raise InputError(
             f"permittivity: {request.permittivity!r}: expected a number such as 5.3-0.4j"
         ) from error
+    if value.real < 1:
+        raise InputError(
+            f"permittivity: {request.permittivity!r}: expected a real part from 1, that of air, on"
+        )
     if request.thickness_m is None:
         return LayeredSurface(backing=value)
     return LayeredSurface((Layer(value, request.thickness_m),), backing=1)

@@ -47,7 +47,7 @@ class DemodulatedBurst:
         Amplitude of the leakage whose phase noise was subtracted: what is left of it, the noise
         that is uneven, has the ratios of its receivers. None where there was none.
     whole
-        False when a gap or an overflow cut the burst short; ``warnings`` say where.
+        False when a loss of data cut the burst short; ``warnings`` say where.
     middle_ns
         Device clock in the middle of the slots, from which ``waveform`` counts their times.
     range_per_rate_s
@@ -77,7 +77,7 @@ def demodulate(
     reference_delay_s: float | None = None,
     range_rate_m_per_s: float = 0.0,
 ) -> DemodulatedBurst:
-    """Demodulate a burst up to its first gap or overflow.
+    """Demodulate a burst up to its first loss of data, see `usable_part`.
 
     Parameters
     ----------
@@ -92,14 +92,20 @@ def demodulate(
     reference_delay_s, range_rate_m_per_s
         See `stitch`; without a delay that of the record's leakage.
 
-    Raises InputError for another waveform, for transmitters without a regular TDM schedule, or
-    where nothing can be used.
+    Raises InputError for another waveform, for a reference delay that it cannot tell, for
+    transmitters without a regular TDM schedule, or where nothing can be used.
     """
     from hardware.records.radar import RadarRecord
 
     check_kind("record", record, RadarRecord, "hardware.read_radar_record")
     if waveform is not None and waveform != record.waveform:
         raise InputError(f"waveform: {waveform} is not the record's, {record.waveform}")
+    longest_s = record.waveform.max_delay_s
+    if reference_delay_s is not None and not abs(reference_delay_s) < longest_s:
+        raise InputError(
+            f"reference_delay_s: {reference_delay_s}, expected within the waveform's unambiguous "
+            f"delay, +/- {longest_s:.3g} s"
+        )
     part = usable_part(record, burst)
     schedule = tdm_schedule(record.transmitter[: part.n_slots])
     steps = range(part.n_steps)

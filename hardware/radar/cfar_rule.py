@@ -23,7 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_count
 from hardware.radar.k_distribution import quantile, survival
 from hardware.radar.windows import correlation, normalised_window
 
@@ -59,13 +59,17 @@ class Cfar:
     shape: float | Literal["fitted"] = float("inf")
 
     def __post_init__(self) -> None:
-        if not 0 < self.false_alarm < 1:
-            raise InputError(f"false_alarm: {self.false_alarm}, expected a number between 0 and 1")
+        rate: object = self.false_alarm
+        if not (isinstance(rate, int | float | np.number) and 0 < rate < 1):
+            raise InputError(f"false_alarm: {rate!r:.60}, expected a number between 0 and 1")
         if self.method not in get_args(Method):
             raise InputError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
         for name in ("guard", "training"):
-            if min(getattr(self, name)) < 0:
-                raise InputError(f"{name}: {getattr(self, name)} is negative")
+            sides = getattr(self, name)
+            if not (isinstance(sides, tuple) and len(sides) == 2):
+                raise InputError(f"{name}: {sides!r:.60}, expected cells along range and rate")
+            for side in sides:
+                check_count(name, side, 0)
         shape: object = self.shape
         if shape != "fitted" and not (isinstance(shape, int | float) and shape > 0):
             raise InputError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")

@@ -5,11 +5,12 @@ repeats. Transmitter and receiver share one oscillator: there is no carrier freq
 estimator of it would remove the Doppler shift.
 """
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
@@ -18,6 +19,14 @@ if TYPE_CHECKING:
 Complex = NDArray[np.complexfloating[Any, Any]]
 #: Of the transforms. ``single`` rounds a cell of the map by up to 1e-6 of the strongest echo.
 Precision = Literal["double", "single"]
+
+
+def check_precision(precision: object) -> None:
+    """Raise InputError unless it is a `Precision`."""
+    if precision not in get_args(Precision):
+        raise InputError(
+            f"precision: {precision!r:.60} is none of {', '.join(get_args(Precision))}"
+        )
 
 
 def channel(
@@ -39,6 +48,7 @@ def channel(
 
 def complex_samples(counts: NDArray[np.int16], precision: Precision = "double") -> Complex:
     """Complex samples (...) of counts (..., 2), in counts."""
+    check_precision(precision)
     real = np.float64 if precision == "double" else np.float32
     return counts.astype(real, order="C").view(np.result_type(real, np.complex64))[..., 0]
 

@@ -1,4 +1,4 @@
-"""Integrity of a burst: it ends at a gap or an overflow; silence and clipping give warnings."""
+"""Integrity of a burst: it ends at the first loss of data; silence and clipping give warnings."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _RAIL = 32767
 _CLOCK = 0.01  # of a slot, by which its start may be off
+#: What leaves a slot without the samples of its time, and its name in messages.
+_WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lost"}
 
 
 @dataclass(frozen=True)
@@ -30,19 +32,28 @@ class UsablePart:
 
 
 def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
-    """The part of a burst that can be processed coherently: up to the first gap or overflow.
+    """The part of a burst that can be processed coherently: up to the first gap, overflow, reset or
+    lost slot.
+
+    Slots behind a lost one are left out with it: in the gap's place the transforms would take zeros
+    for echoes, which lowers levels and raises side lobes.
 
     Raises InputError where there is no such part, and for a burst that the record does not have.
     """
-    if not 0 <= burst < len(record.iq):
-        raise InputError(f"burst: {burst}, the record holds {len(record.iq)}")
+    if not (isinstance(burst, int | np.integer) and 0 <= burst < len(record.iq)):
+        raise InputError(
+            f"burst: {burst!s:.60}, the record holds {len(record.iq)}, expected a whole number "
+            "from 0 on below that"
+        )
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)
     if not lost.any():
         return UsablePart(n_steps, n_slots, True, tuple(warnings))
     step, slot = (int(i) for i in np.unravel_index(np.argmax(lost), lost.shape))
-    why = "flagged as overrun or reset" if _flagged(record, burst)[step, slot] else "after a gap"
+    flags = int(record.flags[burst, step, slot])
+    names = [name for flag, name in _WITHOUT_SAMPLES.items() if flags & flag]
+    why = f"flagged as {' and '.join(names)}" if names else "after a gap"
     n_steps, n_slots = (step, n_slots) if step else (1, slot)
     where = f"burst {burst}, step {step}, slot {slot}: {why}"
     if n_slots < 2 * len(record.front_end.transmitters_m):
@@ -51,15 +62,11 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     return UsablePart(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
 
 
-def _flagged(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
-    return np.asarray((record.flags[burst] & (Flag.OVERRUN | Flag.RESET)) != 0)
-
-
 def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
     """Slots (n_steps, n_slots) that did not come at their time, or are flagged."""
     times = record.device_time_ns[burst]
     slot_ns = 1e9 * record.waveform.slot_period_s
-    lost = _flagged(record, burst)
+    lost = np.asarray((record.flags[burst] & sum(_WITHOUT_SAMPLES)) != 0)
     lost[:, 1:] |= np.abs(np.diff(times, axis=1) - slot_ns) > 1 + _CLOCK * slot_ns
     # The duration of a retune is not checked, but no step may begin before the last one has ended.
     lost[1:, 0] |= times[1:, 0] - times[:-1, -1] < slot_ns * (1 - _CLOCK) - 1

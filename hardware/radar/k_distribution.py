@@ -19,6 +19,7 @@ _LEVEL = 3e-3  # exceeded by noise: rare enough for shapes to differ, frequent e
 _ROWS = 16  # range cells that share a median
 _ECHO = 100.0  # times the median, above which a cell and its surroundings count as an echo
 _BESIDE = 8  # cells around it
+_CLUMPS = 2.0  # of noise, as many cells as the main lobe of an echo below `_ECHO`
 _SHAPES = np.geomspace(0.1, 100.0, 31)
 _LOG_X = np.linspace(-16, 9, 401)
 _MOST = 2**17  # cells counted, about
@@ -39,8 +40,10 @@ class ClutterFit:
 
     @property
     def is_noise(self) -> bool:
-        """Whether the exceedance is at most 1.5, or within the random error of 1."""
-        return self.exceedance <= 1 + max(0.5, 4 * self.uncertain)
+        """Whether the exceedance is at most 1.5, within the random error of 1, or what one echo
+        adds in so few cells that noise hardly ever exceeds the level.
+        """
+        return self.exceedance <= 1 + max(0.5, 4 * self.uncertain, _of_an_echo(self.uncertain))
 
     def false_alarms(self, false_alarm: float, looks: float) -> float:
         """Rate of false alarms of a threshold for noise, over the rate it was set for."""
@@ -125,7 +128,7 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     noise = _expected(looks, (np.inf,))[0]
     exceedance = float(np.mean(relative[usable] > _level(looks)) / noise)
     uncertain = float(np.sqrt(clump / (count * noise)))
-    if exceedance <= 1 + 2 * uncertain:
+    if exceedance <= 1 + max(2 * uncertain, _of_an_echo(uncertain)):
         return ClutterFit(exceedance, np.inf, uncertain)
     rates = np.array(_expected(looks, tuple(_SHAPES))) / noise
     # Rates fall with the shape down to 1 for noise, as 1 / shape in the end.
@@ -134,6 +137,13 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     # On a coarse raster: tables of nearby shapes are the same.
     shape = float(np.exp(np.round(np.log(1 / inverse), 2))) if inverse > 0 else np.inf
     return ClutterFit(exceedance, shape, uncertain)
+
+
+def _of_an_echo(uncertain: float) -> float:
+    """What the main lobe of an echo adds to the exceedance of a map of noise: the square is what a
+    clump of its cells adds, over the expected number of clumps.
+    """
+    return _CLUMPS * uncertain**2
 
 
 def _level(looks: float) -> float:

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
 from hardware.described import Described
+from hardware.errors import InputError, check_count, check_finite
 from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.clutter import without_static
-from hardware.radar.demodulation import Complex, Precision
+from hardware.radar.demodulation import Complex, Precision, check_precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
@@ -56,7 +57,8 @@ class Processing:
     per_cell
         Targets of one range and rate to resolve by angle with `music`; 1 is plain beamforming.
     reference_delay_s, range_rate_m_per_s
-        For carrier steps, see `stitch`.
+        For carrier steps, see `stitch`. The delay is negative where the reference arrives before
+        the clock's zero.
     fastest_m_per_s
         Highest speed of approaching or receding targets, up to which the Doppler ambiguity is
         resolved, or alternatives are listed, see `resolve_delay_rates`. An echo must first be
@@ -83,6 +85,15 @@ class Processing:
     detection: str | OwnDetection | Detect | None = None
 
     def __post_init__(self) -> None:
+        for name in ("oversampling", "at_most", "per_cell"):
+            check_count(name, getattr(self, name))
+        check_precision(self.precision)
+        check_finite("range_rate_m_per_s", self.range_rate_m_per_s)
+        if self.reference_delay_s is not None:
+            check_finite("reference_delay_s", self.reference_delay_s)
+        fastest: object = self.fastest_m_per_s
+        if not (isinstance(fastest, int | float | np.number) and fastest >= 0):
+            raise InputError(f"fastest_m_per_s: {fastest!r:.60}, expected a number from 0 on")
         if self.detection is not None:
             object.__setattr__(self, "detection", detection_of(self.detection))
 
@@ -264,7 +275,7 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Results of all bursts, up to and including the first one cut short by a gap or overflow."""
+    """Results of all bursts, up to and including the first one cut short by a loss of data."""
     for burst in range(len(record.iq)):
         frame = process(record, burst, how, waveform=waveform)
         left = len(record.iq) - burst - 1

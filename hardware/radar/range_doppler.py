@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.described import Described
-from hardware.errors import InputError
+from hardware.errors import InputError, check_count
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whiten
 from hardware.radar.windows import normalised_window
@@ -88,9 +88,10 @@ def range_doppler(
     relative_noise : (n_subcarriers, n_slots) or (n_subcarriers, 1)
         Mean noise of the cells without a window, where it is known, see `DemodulatedBurst`.
 
-    Raises InputError for a channel that does not fit the waveform.
+    Raises InputError for a channel that does not fit the waveform, or no whole ``oversampling``.
     """
     check_channel(channel, waveform)
+    check_count("oversampling", oversampling)
     n, m = channel.shape[-2:]
     across, along = oversampling * n, oversampling * m
     parts = channel.reshape(-1, n, m)

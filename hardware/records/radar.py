@@ -117,7 +117,7 @@ LAYOUT = container.Layout(
             "counts, (bursts, steps, slots, receivers, subcarriers, I and Q)",
         ),
         "device_time_ns": (np.int64, "device clock at the start of each slot, ns"),
-        "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset"),
+        "flags": (np.uint8, "1 saturated, 2 overrun, 4 reset, 8 lost"),
         "carriers_hz": (np.float64, "tuned carrier of each step, Hz"),
         "transmitter": (np.uint8, "which transmitter sends in each slot"),
         "transmitters_m": (np.float64, "phase centres: x ahead, y left, z up, m"),

@@ -150,6 +150,12 @@ class RadarFrontEnd:
                 raise InputError(f"{name}: shape {places.shape}, expected ({len(places)}, 3)")
             if not np.isfinite(places).all():
                 raise InputError(f"{name}: a value is no number")
+        for name in ("antenna_gain_dbi", "losses_db", "leakage_delay_s"):
+            value = getattr(self, name)
+            # A pattern may have a null ahead.
+            is_null = name == "antenna_gain_dbi" and value == -math.inf
+            if math.isinf(value) and not is_null:
+                raise InputError(f"{name}: {value}, expected a finite number, or NaN if unknown")
         for name in ("root_watt_per_count", "transmit_power_w"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):

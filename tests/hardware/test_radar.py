@@ -292,6 +292,24 @@ def test_a_record_that_contradicts_itself_is_refused(change, told) -> None:
         replace(record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9), **change)
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("antenna_gain_dbi", np.inf),
+        ("losses_db", -np.inf),
+        ("leakage_delay_s", np.inf),
+        ("transmit_power_w", 0.0),
+    ],
+)
+def test_a_front_end_that_cannot_be_is_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        RadarFrontEnd(**{"root_watt_per_count": 1.0, "transmit_power_w": 1.0, field: value})
+
+
+def test_a_pattern_may_have_a_null_ahead() -> None:
+    assert RadarFrontEnd(1.0, 1.0, antenna_gain_dbi=-np.inf).antenna_gain_dbi == -np.inf
+
+
 def test_a_radar_record_is_no_optical_one(tmp_path: Path) -> None:
     from hardware import read_record
 

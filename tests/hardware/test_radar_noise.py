@@ -21,6 +21,7 @@ from hardware.radar.phase_noise import phase_noise
 from hardware.radar.process import Processing, process
 from hardware.radar.quadrature import image_ratios
 from hardware.radar.whitening import whiten
+from hardware.radar.windows import noise_gain
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import STEP, WIDE, C, Echo, calibrated, cube
 
@@ -466,6 +467,25 @@ def test_clutter_is_told_with_the_frame() -> None:
     assert "more than 64 detections" in plain.warnings[0]
     adapted = Processing(window="boxcar", cfar=Cfar(shape="fitted"))
     assert not process(record, 0, adapted).warnings
+
+
+@pytest.mark.parametrize(
+    ("n_ranges", "n_slots", "snr_db"), [(2, 2, 60.0), (1, 64, 3.0), (1, 64, 6.0)]
+)
+def test_one_echo_in_a_map_of_few_cells_is_no_clutter(n_ranges, n_slots, snr_db: float) -> None:
+    """Noise exceeds the level in 0.01 cells of 4, in 0.2 of 64: an echo below 100 times the median
+    does in 1 and in 5. The signal-to-noise ratio is that of a sample.
+    """
+    wave = replace(WIDE, n_subcarriers=n_ranges, n_slots=n_slots)
+    rng = np.random.default_rng(13)
+    echo = np.exp(0.2j * np.pi * (np.arange(n_ranges)[:, None] + np.arange(n_slots)))
+    for _ in range(30):
+        cells = 10 ** (snr_db / 20) * echo + noise(rng, n_ranges, n_slots)
+        image = range_doppler(cells, wave)
+        clump = noise_gain("blackmanharris", (n_ranges, n_slots)) ** 1.4
+        found = fit(image.power_w, 1, clump)
+        assert found.is_noise
+        assert np.isinf(found.shape)
 
 
 @pytest.mark.parametrize("shape", [0.0, -1.0, float("nan"), "fit"])

@@ -62,13 +62,34 @@ def test_a_gap_ends_the_burst(plain) -> None:
     assert frame.detections[0].range_m == pytest.approx(3.3, abs=0.01)
 
 
-@pytest.mark.parametrize("flag", [Flag.OVERRUN, Flag.RESET])
-def test_an_overflow_ends_the_burst(plain, flag: Flag) -> None:
+@pytest.mark.parametrize(
+    ("flag", "named"),
+    [
+        (Flag.OVERRUN, "overrun"),
+        (Flag.RESET, "reset"),
+        (Flag.LOST, "lost"),
+        (Flag.RESET | Flag.LOST | Flag.SATURATED, "reset and lost"),
+    ],
+)
+def test_a_slot_without_its_samples_ends_the_burst(plain, flag: Flag, named: str) -> None:
     flags = plain.flags.copy()
     flags[0, 0, 10] = flag
     frame = process(replace(plain, flags=flags))
+    assert not frame.whole
     assert frame.waveform.n_slots == 10
-    assert "slot 10: flagged as overrun or reset" in frame.warnings[0]
+    assert f"slot 10: flagged as {named}; processed are the 10 slots before" in frame.warnings[0]
+
+
+def test_lost_slots_do_not_lower_the_level(plain) -> None:
+    """The zeros in the place of 10 of 64 slots would lower the power by 1.5 dB if they were summed
+    as echoes; the slots before them tell it within its error.
+    """
+    [whole] = process(plain).detections
+    flags, iq = plain.flags.copy(), plain.iq.copy()
+    flags[0, 0, 40:50], iq[0, 0, 40:50] = Flag.LOST, 0
+    [cut] = process(replace(plain, flags=flags, iq=iq)).detections
+    assert abs(cut.power_w - whole.power_w) < 4 * cut.power_error_w
+    assert 4 * cut.power_error_w < 0.1 * whole.power_w
 
 
 def test_what_was_lost_is_never_joined(plain) -> None:
@@ -80,9 +101,10 @@ def test_what_was_lost_is_never_joined(plain) -> None:
     assert cut.detections == spoilt.detections
 
 
-def test_nothing_before_the_gap_is_an_error(plain) -> None:
+@pytest.mark.parametrize("flag", [Flag.OVERRUN, Flag.LOST])
+def test_nothing_before_the_gap_is_an_error(plain, flag: Flag) -> None:
     flags = plain.flags.copy()
-    flags[0, 0, 0] = Flag.OVERRUN
+    flags[0, 0, :] = flag
     with pytest.raises(ValueError, match=r"burst 0, step 0, slot 0: .* too little"):
         process(replace(plain, flags=flags))
 
@@ -188,12 +210,54 @@ def test_the_greatest_of_factor_against_its_closed_form() -> None:
     [
         ({"false_alarm": 0.0}, "between 0 and 1"),
         ({"method": "so"}, "none of ca, go, os"),
-        ({"guard": (-1, 0)}, "guard: .* negative"),
+        ({"false_alarm": "x"}, "false_alarm: 'x', expected a number between 0 and 1"),
+        ({"guard": (-1, 0)}, "guard: -1, expected a whole number from 0 on"),
+        ({"guard": 6}, "guard: 6, expected cells along range and rate"),
+        ({"training": (8, 1.5)}, "training: 1.5, expected a whole number"),
     ],
 )
 def test_impossible_cfar(change, told: str) -> None:
     with pytest.raises(ValueError, match=told):
         replace(Cfar(), **change)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("oversampling", 0),
+        ("oversampling", 1.5),
+        ("at_most", -1),
+        ("per_cell", 0),
+        ("precision", "half"),
+        ("fastest_m_per_s", -1.0),
+        ("fastest_m_per_s", np.nan),
+        ("range_rate_m_per_s", np.nan),
+        ("reference_delay_s", np.inf),
+    ],
+)
+def test_impossible_processing(setting: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"^{setting}: {value!r}"):
+        Processing(**{setting: value})
+
+
+def test_arguments_are_checked_where_they_are_used(plain) -> None:
+    with pytest.raises(InputError, match=r"burst: 0\.5, .* expected a whole number"):
+        process(plain, 0.5)
+    with pytest.raises(InputError, match="precision: 'half' is none of double, single"):
+        demodulate(plain, precision="half")
+    with pytest.raises(InputError, match="oversampling: 0, expected a whole number from 1 on"):
+        range_doppler(demodulate(plain).channel, WIDE, oversampling=0)
+
+
+def test_a_reference_delay_is_within_the_unambiguous_one() -> None:
+    """It may be negative: of a reference that arrives before the clock's zero."""
+    early = (LEAK[0], -1e-9)
+    record = cube(STEP, [Echo((4.0, 0, 0))], carriers_hz=CARRIERS, leakage=early)
+    cfar = Cfar(1e-6, guard=(3, 0))
+    how = Processing(window="hann", cfar=cfar, reference_delay_s=early[1])
+    assert process(record, 0, how).detections[0].range_m == pytest.approx(4.0, abs=0.05)
+    with pytest.raises(InputError, match=r"reference_delay_s: -1\.0, expected within"):
+        process(record, 0, replace(how, reference_delay_s=-1.0))
 
 
 def test_an_empty_scene_gives_detections_at_the_asked_rate() -> None:
@@ -390,10 +454,7 @@ def test_a_gap_between_steps_leaves_a_narrower_band() -> None:
     record.flags[0, 20, 3] = Flag.OVERRUN
     frame = process(record, 0, Processing(window="hann", cfar=Cfar(1e-6, guard=(3, 0))))
     assert frame.waveform.bandwidth_hz == pytest.approx(400e6)
-    assert (
-        "step 20, slot 3: flagged as overrun or reset; processed are the 20 steps"
-        in (frame.warnings[0])
-    )
+    assert "step 20, slot 3: flagged as overrun; processed are the 20 steps" in (frame.warnings[0])
 
 
 # Clutter.

@@ -405,6 +405,16 @@ def test_one_subcarrier_has_no_phase_noise_within_a_symbol() -> None:
             "timing_rms_s = 0.0",
             "n_subcarriers x n_slots x 4096 steps",
         ),
+        ("[leakage]\nlevel_db = -30.0\ndelay_s = 1.0", "leakage.delay_s = 1: expected less than"),
+        *(
+            (
+                "[waveform]\nn_subcarriers = 64\nn_slots = 16\n[steps]\ncount = 3\n"
+                f"spacing_hz = {spacing}\nsettling_s = 5e-3\nrandom_phase = true\n"
+                "timing_rms_s = 0.0",
+                "steps.spacing_hz = ",
+            )
+            for spacing in ("60e6", "65e6")  # of 62.5 MHz: they overlap, they leave a gap
+        ),
     ],
 )
 def test_impossible_front_ends_are_refused(tmp_path: Path, text: str, expected: str) -> None:

@@ -199,3 +199,12 @@ def test_check_tells_what_the_radar_has_no_values_of(twin, plate, tmp_path, row,
     assert code == 0
     assert ("hybrid-79: material 'mine': " + told in err) == bool(told)
     assert f"{len(told) and 1} warning" in out
+
+
+def test_check_tells_whose_radio_properties_are_generic(twin, plate, tmp_path) -> None:
+    assert twin("import", plate, tmp_path / "scene")[0] == 0
+    xml = tmp_path / "scene" / "scene.xml"
+    xml.write_text(xml.read_text().replace('"generic"', '"unobtainium"'))
+    told = "hybrid-79: materials not in the table, radio properties taken from generic: unobtainium"
+    assert f"{told} (plate_ply)" in twin("check", tmp_path / "scene")[2]
+    assert told not in twin("check", tmp_path / "scene", "--radar", "none")[2]

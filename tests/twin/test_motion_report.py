@@ -52,6 +52,15 @@ def test_a_point_that_recedes_crosses_range_cells() -> None:
     assert found.cells_per_frame < 0.1
 
 
+def test_range_cells_are_those_of_all_carrier_steps() -> None:
+    """25 steps of 20 MHz resolve 0.2998 m: 1 m/s crosses 0.42 of it in 0.126 s, and 0.017 of the
+    7.5 m that one step resolves.
+    """
+    item = ball("b", (10.0, 0.0, 0.0), TINY, level=1, velocity_m_per_s=(1.0, 0.0, 0.0))
+    [found] = motion_reports(scene(item), None, load_radar("prototype"))
+    assert found.range_cells == pytest.approx(0.1264 / 0.2998, rel=1e-3)
+
+
 def test_a_body_that_turns_spreads_over_doppler_cells() -> None:
     turning = moving(ball("b", (10.0, 0, 0), 0.3, level=5), Turning((0, 0, 1), (10, 0, 0), 5.0))
     found = report(scene(turning), "b")

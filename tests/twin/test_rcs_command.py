@@ -136,6 +136,7 @@ def test_a_bad_range_is_named(text: str) -> None:
         (["--scale", "1e-200"], "plate.ply: no face has an area"),
         (["--carrier-hz", "0"], "carrier-hz: 0"),
         (["--permittivity", "4+1j"], "permittivity: (4+1j)"),
+        (["--permittivity", "0.5"], "permittivity: '0.5': expected a real part from 1"),
         (["--permittivity", "glass"], "permittivity: 'glass'"),
         (["--thickness", "0.1"], "thickness: expected together"),
         (["--permittivity", "4", "--thickness", "-1"], "thickness_m: -1"),

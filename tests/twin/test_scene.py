@@ -10,7 +10,9 @@ import pytest
 import trimesh
 
 from twin.engine import mitsuba
+from twin.fidelity import Fidelity
 from twin.files import InputError, scenes_folder
+from twin.radar import load_radar, radar_capture
 from twin.scene import Pose, load_scene, parse_pose
 from twin.scene.materials import load_materials
 from twin.scene.meshes import read_mesh
@@ -492,3 +494,21 @@ def test_textures_are_placed_as_stock_mitsuba_places_them(tmp_path: Path, to_uv:
 def test_a_model_is_no_scene_and_how_it_becomes_one(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"solid")
     assert_refused(tmp_path / name, f"`twin import {tmp_path / name} scenes/model`")
+
+
+# Materials that no table holds.
+
+
+def test_the_radar_warns_of_unknown_materials_where_their_meshes_answer(tmp_path: Path) -> None:
+    """A plate of an unknown metal would be 10 dB weaker as `generic`: the warning names both."""
+    told = "materials not in the table, radio properties taken from generic: unobtainium (thing)"
+
+    def warnings(material: str, model: str) -> tuple[str, ...]:
+        loaded = load_scene(scene(tmp_path / material, material=material))
+        radar = load_radar("hybrid-79").with_({"waveform.n_slots": 4})
+        return radar_capture(loaded, radar, fidelity=Fidelity(radar=model)).warnings
+
+    assert told in warnings("unobtainium", "optics")
+    assert told not in warnings("unobtainium", "targets")  # which leaves meshes out
+    for known in ("generic", "metal"):
+        assert not any("radio properties" in text for text in warnings(known, "optics"))

@@ -176,7 +176,8 @@ def rcs(
     edges: Annotated[bool, typer.Option("--edges", help="Add diffraction at sharp edges.")] = False,
     scale: Annotated[float, typer.Option(help="Metres per unit of the mesh.")] = 1.0,
     permittivity: Annotated[
-        str | None, typer.Option(help="Relative, such as 5.3-0.4j; default: a conductor.")
+        str | None,
+        typer.Option(help="Relative, such as 5.3-0.4j, from 1 on; default: a conductor."),
     ] = None,
     thickness: Annotated[
         float | None,

@@ -223,10 +223,16 @@ def check(
         say.line(f"note: {note}")
     told = list(loaded.warnings)
     if design is not None:
-        from twin.radar.propagation.scene.materials import without_radio_properties
+        from twin.radar.propagation.scene.materials import (
+            with_generic_properties,
+            without_radio_properties,
+        )
 
-        carrier_hz = design.ofdm.carrier_hz
-        told += [f"{design.name}: {text}" for text in without_radio_properties(loaded, carrier_hz)]
+        of_materials = [
+            *with_generic_properties(loaded, {item.name for item in loaded.objects}),
+            *without_radio_properties(loaded, design.ofdm.carrier_hz),
+        ]
+        told += [f"{design.name}: {text}" for text in of_materials]
     for warning in told:
         say.warn(warning)
     odd = sum(bool(row.remarks) for row in rows)

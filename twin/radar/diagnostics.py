@@ -18,6 +18,7 @@ from twin.radar.propagation.facets.convergence import unconverged, worst_by_body
 from twin.radar.propagation.one_way.motion import lengthening, relative_motion
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
+from twin.radar.propagation.scene.materials import with_generic_properties
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import Solver
 from twin.radar.truth import TrueTarget
@@ -102,6 +103,7 @@ def warnings(
             "or count it again (off by up to 300 % in what was tried): divide them"
         )
         messages.append(CaptureWarning("rendering", text))
+    messages += [CaptureWarning("model", text) for text in _generic(scene, bursts[0])]
     messages += [CaptureWarning("model", text) for text in bursts[0].warnings]
     bodies = worst_by_body(body for burst in bursts for body in burst.bodies)
     messages += [CaptureWarning("rendering", text) for text in unconverged(bodies)]
@@ -131,6 +133,13 @@ def _not_followed(bursts: Sequence[Propagation]) -> list[str]:
     """
     missed = missed_effects(decision for burst in bursts for decision in burst.decisions)
     return [f"{text}; the stated errors contain it" for text in missed]
+
+
+def _generic(scene: Scene, propagation: Propagation) -> list[str]:
+    """On unknown materials of objects whose mesh answers."""
+    answers = {ScatteringModel.SURFACE, ScatteringModel.OPTICS, ScatteringModel.TABLE}
+    names = {a.name for a in propagation.roles if a.role in answers}
+    return with_generic_properties(scene, names)
 
 
 def _antennas(radar: RadarDesign) -> str:

@@ -136,7 +136,7 @@ def _seen(
     return replace(
         found,
         range_rates_m_per_s=(float(rates.min()), float(rates.max())),
-        range_cells=float(np.ptp(ranges, axis=0).max()) / wave.range_cell_m,
+        range_cells=float(np.ptp(ranges, axis=0).max()) / radar.range_cell_m,
         doppler_cells=float(np.ptp(rates)) / wave.velocity_cell_m_per_s,
     )
 

@@ -14,7 +14,7 @@ from twin.scene import xml
 from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
 from twin.scene.limits import FARTHEST_M, FARTHEST_ORIGIN_M
-from twin.scene.materials import Material, materials_of, row_of
+from twin.scene.materials import GENERIC, Material, materials_of, row_of
 from twin.scene.meshes import primitive, read_mesh
 from twin.scene.model import Scene
 from twin.scene.motion_tree import MotionTree
@@ -22,8 +22,6 @@ from twin.scene.objects import IN_PLACE, Array, SceneObject
 from twin.scene.rig import Pose, Rig
 from twin.scene.settings import SceneSettings, load_settings
 from twin.scene.texture import Reflectance, Texture
-
-_FALLBACK = "generic"
 
 _MESH_PLUGINS = ("ply", "obj", "stl")
 
@@ -123,6 +121,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         targets=tree.targets(tree.settings.make_targets()) if tree else (),
         track=settings.make_track() if settings else None,
         materials={o.material: materials.table[o.material] for o in objects},
+        unknown_materials=materials.unknown,
         assumptions=tuple(materials.assumptions()),
         notes=notes,
         warnings=(*warnings, *materials.warnings()),
@@ -294,6 +293,7 @@ class _Materials:
         self.path = path
         self.table = table
         self.used: dict[str, None] = {}
+        self.unknown: dict[str, str] = {}
         self.own: dict[str, list[str]] = {}
         self.left_out: dict[str, list[str]] = {}
         self.defaulted: dict[str, list[str]] = {}
@@ -319,12 +319,13 @@ class _Materials:
                 f"{self.path}: shape {shape.name!r}: material {name!r} is not in the table of "
                 f"materials; known: {', '.join(self.table)}"
             )
+        self.unknown[shape.name] = name
         if given is not None:
             told = "an image" if isinstance(given, Texture) else f"{given:g}"
             self.own.setdefault(f"{name}, {told}", []).append(shape.name)
-            return _FALLBACK, given
+            return GENERIC, given
         self.defaulted.setdefault(f"{name}, {surface.plugin}", []).append(shape.name)
-        return _FALLBACK, self.table[_FALLBACK].optical.reflectance.value
+        return GENERIC, self.table[GENERIC].optical.reflectance.value
 
     def _checked(self, shape: xml.XmlShape) -> Reflectance | None:
         value = shape.surface.reflectance
@@ -359,7 +360,7 @@ class _Materials:
         if self.overruled:
             found.append(f"the table of materials holds: {_list(self.overruled)}")
         if self.defaulted:
-            value = self.table[_FALLBACK].optical.reflectance.value
+            value = self.table[GENERIC].optical.reflectance.value
             found.append(
                 f"materials without a reflectance, defaulted to {value:g}: "
                 f"{_by_object(self.defaulted)}"

@@ -10,6 +10,9 @@ from pydantic import Field, RootModel, ValidationError, model_validator
 from twin.files import InputError, scenes_folder
 from twin.toml import NonNegative, Positive, Sourced, Strict, describe, read_toml
 
+#: Row for materials that the table does not hold.
+GENERIC = "generic"
+
 Reflectance = Annotated[NonNegative, Field(le=1)]
 
 

@@ -25,8 +25,10 @@ Array = NDArray[np.float64]
 class Scene(Described):
     """A validated scene. Scenes are equal that have the same name, path and content.
 
-    ``materials`` are the rows that its objects use, by name; ``warnings`` name everything that was
-    defaulted, ``notes`` the rows of materials that take the place of bundled ones.
+    ``materials`` are the rows that its objects use, by name; ``unknown_materials`` the names of
+    those in whose place objects have the row `GENERIC`, by the object's name. ``warnings`` name
+    everything that was defaulted, ``notes`` the rows of materials that take the place of bundled
+    ones.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Scene(Described):
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    unknown_materials: Mapping[str, str] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self._content == other._content

@@ -8,7 +8,7 @@ from pydantic import model_validator
 from scipy import constants
 
 from hardware.records import RadarFrontEnd
-from hardware.waveform import OfdmWaveform
+from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.files import InputError, catalog_folder
 from twin.radar.device.antenna import Antenna, Elements
 from twin.radar.device.burst import Burst
@@ -26,6 +26,7 @@ from twin.warned import CaptureWarning
 
 _MOST_CELLS = 2**25  # of one burst: half a gigabyte in complex numbers
 _MOST_SYMBOLS = 2**24  # of one step, over which the oscillator wanders
+_STEP_OFF = 1e-6  # of a step's bandwidth, by which the next may begin elsewhere than at its end
 _REFERENCE_K = 290.0  # of noise figures, by definition
 
 
@@ -66,12 +67,29 @@ class RadarDesign(Entry):
                 f"elements.transmitters_m: {len(burst.transmitters_m)} take turns in "
                 f"{wave.n_slots} slots"
             )
+        if steps > 1:
+            self._check_spacing()
+        if self.leakage and not self.leakage.delay_s.value < wave.max_delay_s:
+            raise InputError(
+                f"leakage.delay_s = {self.leakage.delay_s.value:g}: expected less than the "
+                f"unambiguous delay, 1 / subcarrier_spacing_hz = {wave.max_delay_s:.4g} s"
+            )
         symbols = wave.n_slots * wave.slot_period_s / wave.symbol_s
         if self.oscillator and symbols > _MOST_SYMBOLS:
             raise InputError(
                 f"oscillator: {symbols:.3g} symbols in a step, expected at most {_MOST_SYMBOLS}"
             )
         return self
+
+    def _check_spacing(self) -> None:
+        """Raise InputError unless the bands of the steps touch: only then they make one band."""
+        assert self.steps is not None
+        spacing_hz, bandwidth_hz = self.steps.spacing_hz.value, self.ofdm.bandwidth_hz
+        if abs(spacing_hz / bandwidth_hz - 1) > _STEP_OFF:
+            raise InputError(
+                f"steps.spacing_hz = {spacing_hz:.9g}: expected the bandwidth of one step, "
+                f"n_subcarriers x subcarrier_spacing_hz = {bandwidth_hz:.9g}"
+            )
 
     @property
     def ofdm(self) -> OfdmWaveform:
@@ -129,6 +147,11 @@ class RadarDesign(Entry):
         return float(carriers[-1] - carriers[0] + self.ofdm.bandwidth_hz)
 
     @property
+    def range_cell_m(self) -> float:
+        """Range resolution of all steps together."""
+        return C_M_PER_S / (2 * self.total_bandwidth_hz)
+
+    @property
     def channel_waveform(self) -> OfdmWaveform:
         """What the first transmitter sends in the first step."""
         return self.burst.waveform_of(0, 0)
@@ -171,7 +194,7 @@ class RadarDesign(Entry):
             What the scene holds.
         """
         return [
-            *band_warnings(self.ofdm, self.burst.carriers_hz, self.band, self.steps),
+            *band_warnings(self.ofdm, self.burst.carriers_hz, self.band),
             *range_warnings(self.ofdm, farthest_m),
             *rate_warnings(self.ofdm, self.channel_waveform, fastest_m_per_s),
             *step_warnings(self.burst, fastest_m_per_s),

@@ -10,7 +10,7 @@ from hardware.radar.stitching import range_per_rate_s
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.device.antenna import Antenna
 from twin.radar.device.burst import Burst
-from twin.radar.device.waveform import Band, Steps
+from twin.radar.device.waveform import Band
 from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
@@ -20,9 +20,7 @@ _SHIFT = 0.1  # of a range cell, by which steps may shift a moving echo
 _MAX_EFFICIENCY = 1.05  # gain of a pattern, averaged over the sphere, from which it is warned of
 
 
-def band_warnings(
-    wave: OfdmWaveform, carriers_hz: Array, band: Band, steps: Steps | None
-) -> Iterator[CaptureWarning]:
+def band_warnings(wave: OfdmWaveform, carriers_hz: Array, band: Band) -> Iterator[CaptureWarning]:
     """Of a waveform, the carriers (n_steps,) that it steps through, and the band allowed."""
     low, high = carriers_hz[0] - wave.bandwidth_hz / 2, carriers_hz[-1] + wave.bandwidth_hz / 2
     if low < band.low_hz.value or high > band.high_hz.value:
@@ -30,12 +28,6 @@ def band_warnings(
             "design",
             f"band: {low / 1e9:.2f}-{high / 1e9:.2f} GHz leaves "
             f"{band.low_hz.value / 1e9:g}-{band.high_hz.value / 1e9:g} GHz",
-        )
-    if steps and steps.spacing_hz.value > wave.bandwidth_hz * (1 + 1e-9):
-        yield CaptureWarning(
-            "design",
-            f"steps: {steps.spacing_hz.value / 1e6:g} MHz apart leave gaps between "
-            f"bands of {wave.bandwidth_hz / 1e6:g} MHz",
         )
 
 

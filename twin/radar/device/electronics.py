@@ -41,7 +41,7 @@ class Leakage(Strict):
     level_db: Sourced[Annotated[Finite, Field(ge=-300, le=0)]]
     """Received over sent power, at the ports."""
     delay_s: Sourced[Annotated[NonNegative, Field(le=1.0)]]
-    """From transmitter to receiver."""
+    """From transmitter to receiver; less than the unambiguous delay."""
 
 
 class Oscillator(Strict):

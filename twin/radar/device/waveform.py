@@ -93,7 +93,9 @@ class Steps(Strict):
     count: Sourced[Annotated[int, Field(strict=True, ge=1, le=4096)]]
     """Carriers, one after another."""
     spacing_hz: Sourced[Positive]
-    """From one carrier to the next."""
+    """From one carrier to the next: the bandwidth of one step, n_subcarriers x
+    subcarrier_spacing_hz, so that the bands of the steps touch.
+    """
     settling_s: Sourced[Annotated[NonNegative, Field(le=1e3)]]
     """From the end of one step's slots to the next one's."""
     random_phase: Sourced[bool]

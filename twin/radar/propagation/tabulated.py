@@ -149,8 +149,8 @@ def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str
     """What a table takes for granted."""
     name, table = thing.point.name, thing.table
     lines = [f"{name} answers from a table of physical optics, alone and from one point"]
-    if table.extent_m > _range_cell(radar):
-        lines[0] += f": it measures {table.extent_m / _range_cell(radar):.3g} range cells"
+    if table.extent_m > radar.range_cell_m:
+        lines[0] += f": it measures {table.extent_m / radar.range_cell_m:.3g} range cells"
     if table.undersampling > 1:
         lines.append(
             f"rays of the table of {name} {table.undersampling:.2g} times wider apart than asked "
@@ -159,12 +159,6 @@ def assumptions(thing: Tabulated, material: str, radar: RadarDesign) -> list[str
     if thing.assumed:
         lines.append(f"radio properties of {material}: {thing.assumed}")
     return lines
-
-
-def _range_cell(radar: RadarDesign) -> float:
-    carriers = radar.burst.carriers_hz
-    band = carriers[-1] - carriers[0] + radar.ofdm.bandwidth_hz
-    return float(speed_of_light / (2 * band))
 
 
 def _reflected(

@@ -1,6 +1,7 @@
 """Materials at the carrier: ITU-R P.2040 where its row is valid, cited values elsewhere."""
 
 import ast
+from collections.abc import Container
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +12,7 @@ from scipy.constants import epsilon_0
 from twin.files import InputError
 from twin.radar.scattering.surface import PEC, Layer, LayeredSurface
 from twin.scene import Scene, SceneObject
-from twin.scene.materials import Material
+from twin.scene.materials import GENERIC, Material
 
 _ITU_TABLE = "ITU_MATERIALS_PROPERTIES"
 _CONDUCTOR = 1e5  # S/m: from here on a metal reflects all
@@ -55,6 +56,19 @@ def without_radio_properties(scene: Scene, carrier_hz: float) -> list[str]:
         except InputError as error:
             faults.append(str(error))
     return faults
+
+
+def with_generic_properties(scene: Scene, names: Container[str]) -> list[str]:
+    """On those of the named objects whose material the table does not hold: one text, or none."""
+    of_material: dict[str, list[str]] = {}
+    for item in scene.objects:
+        material = scene.unknown_materials.get(item.name)
+        if material is not None and item.material == GENERIC and item.name in names:
+            of_material.setdefault(material, []).append(item.name)
+    if not of_material:
+        return []
+    told = "; ".join(f"{name} ({', '.join(items)})" for name, items in of_material.items())
+    return [f"materials not in the table, radio properties taken from {GENERIC}: {told}"]
 
 
 def surface_of(
