@@ -252,6 +252,11 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+    if left_out := record.n_left_out:
+        yield (
+            f"{left_out} of {n + left_out} exposures that the device numbered are not in the "
+            "record: the image is right only if their patterns are left out as well"
+        )
 
 
 def _with_background(record: SpiRecord) -> Iterator[str]:
