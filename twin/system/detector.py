@@ -167,7 +167,9 @@ class Readout(Strict):
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     """Bits of the converter."""
     adc_full_scale_v: Sourced[Positive]
-    """Voltage of the converter's highest code."""
+    """Range of the converter from code 0 on: 2^adc_bits steps of adc_full_scale_v / 2^adc_bits. The
+    highest code, 2^adc_bits - 1, is one step below it.
+    """
     adc_offset_v: Sourced[NonNegative]
     """Voltage at the converter without any light, so that noise is not cut off at zero."""
 
