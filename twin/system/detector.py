@@ -180,6 +180,15 @@ class Readout(Strict):
         return self
 
     @model_validator(mode="after")
+    def _only_a_capacitance_has_a_well(self) -> "Readout":
+        if self.full_well_e is not None and self.feedback_capacitance_f is None:
+            raise InputError(
+                f"full_well_e = {self.full_well_e.value:g}: a transimpedance amplifier has no "
+                "well, expected feedback_capacitance_f beside it, or no full_well_e"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _offset_is_in_range(self) -> "Readout":
         if self.adc_offset_v.value >= self.adc_full_scale_v.value:
             raise InputError(
