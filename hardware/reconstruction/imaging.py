@@ -158,6 +158,7 @@ def reconstruct(
     ((1, 8, 8), 27, 10000)
     """
     check_kind("record", record, SpiRecord, "hardware.read_record")
+    check_reference(record, reference_ns)
     solve = method_of(method)
     received = with_level(record.received)
     sensing = Sensing(received.patterns, mixing)
@@ -171,7 +172,6 @@ def reconstruct(
                 "measurements, or None"
             )
         check_known(record.patterns, mixing)
-        check_reference(record, reference_ns)
         arrived = record.received
         if isinstance(motion, Search):
             motion, told_of_search = motion_found(record, arrived, variance, motion, reference_ns)

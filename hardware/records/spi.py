@@ -67,7 +67,7 @@ class SpiRecord(Described):
     pulse_width_s: float = 0.0
 
     def __post_init__(self) -> None:
-        container.check_types(self, pose=QuaternionPose)
+        container.check_types(self, pose=QuaternionPose, patterns=Patterns, counts=np.ndarray)
         container.check_tuples(self, shutters=Shutter)
         if not self.shutters:
             raise InputError("shutters: none, expected at least one")
@@ -85,10 +85,11 @@ class SpiRecord(Described):
                 f"counts: {self.counts.shape[1]} detectors, expected {self.patterns.n_arms} "
                 "for each image"
             )
-        if not np.issubdtype(self.counts.dtype, np.integer):
-            raise InputError(f"counts: dtype {self.counts.dtype}, expected integers")
-        if not 1 <= self.adc_bits <= 31:
-            raise InputError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
+        container.check_whole_numbers(self, *_BY_EXPOSURE)
+        if not isinstance(self.adc_bits, int | np.integer) or not 1 <= self.adc_bits <= 31:
+            raise InputError(
+                f"adc_bits: {self.adc_bits!r:.60} is not a whole number between 1 and 31"
+            )
         top = 2**self.adc_bits - 1
         if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
             raise InputError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")

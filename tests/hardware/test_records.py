@@ -133,6 +133,11 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     [
         ("counts", np.zeros((3, 1), np.int32)),
         ("counts", np.zeros((32, 1))),
+        ("counts", [[0]] * 32),
+        ("device_time_ns", np.zeros(32)),
+        ("flags", [0] * 32),
+        ("flags", np.zeros(32)),
+        ("patterns", None),
         ("counts", np.full((32, 1), 70_000, np.int32)),
         ("counts", np.full((32, 1), -1, np.int32)),
         ("sequence", np.zeros(3, np.uint32)),
@@ -143,12 +148,14 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         ("integration_time_s", 0.0),
         ("electrons_per_count", float("nan")),
         ("adc_bits", 0),
+        ("adc_bits", 16.0),
+        ("integration_time_s", "1 ms"),
         ("pulse_width_s", -1e-9),
         ("pulse_width_s", float("nan")),
     ],
 )
 def test_a_record_that_no_device_could_send_is_refused(field: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"^{field}: "):
+    with pytest.raises(InputError, match=f"^{field}: "):
         replace(make_record(), **{field: value})
 
 
