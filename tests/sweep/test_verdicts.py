@@ -175,6 +175,7 @@ def test_what_has_no_effect_is_refused(
         ),
         ('[grid]\n"scene.sun.illuminance_lx" = [0.0, 1e5]\n', SMALL, "a sky of its own"),
         ('[grid]\n"link.distance_m" = [1.0]\n', 'system = "foggy.toml"\n' + CLOSED, "has weather"),
+        ('[grid]\n"link.distance_m" = [1.0]\n', 'scene = "nope"\n' + CLOSED, "nope: no such scene"),
     ],
 )
 def test_what_no_point_can_be_is_found_before_the_first(
