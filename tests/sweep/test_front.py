@@ -11,8 +11,10 @@ from studies import CLOSED, write
 from typer.testing import CliRunner
 
 from twin.cli import app
+from twin.errors import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.front import all_points, designs_on_front
+from twin.sweep.show import plot_front
 
 GRID = """
 [grid]
@@ -72,6 +74,16 @@ def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> N
         read = list(csv.DictReader(file))
     assert list(read[0]) == list(rows[0])
     assert [float(row["snr"]) for row in read] == [row["snr"] for row in rows]
+
+
+def test_a_front_is_of_two_metrics(swept: Path) -> None:
+    words = ["show", str(swept), "--metric", "snr", "--front", "snr"]
+    shown = CliRunner().invoke(app, words)
+    assert isinstance(shown.exception, InputError)
+    assert str(shown.exception) == "front: 'snr' stands twice, expected two metrics"
+    for make in (designs_on_front, plot_front):
+        with pytest.raises(InputError, match="stands twice"):
+            make(open_sweep(swept), "snr", "snr")
 
 
 def test_a_front_without_points_says_so(swept: Path) -> None:

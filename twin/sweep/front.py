@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
 from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of, warned_points
+from twin.sweep.names import check_two
 from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
@@ -95,8 +96,9 @@ def designs_on_front(
 ) -> FrontDesigns:
     """Designs on the front of a sweep's dataset; ``void``: points of void records count too.
 
-    Raises InputError for a metric that was not measured.
+    Raises InputError for a metric that was not measured, and for the same one twice.
     """
+    check_two(first, second)
     names = (first, second)
     columns = [column(data, name, void=void) for name in names]
     values = [each.to_numpy().ravel() for each in columns]

@@ -119,5 +119,10 @@ def check_front(front: tuple[str, str] | None, metrics: tuple[str, ...]) -> None
     for name in front:
         if name not in metrics:
             raise InputError(f"front: {name!r} is none of the metrics {', '.join(metrics)}")
-    if front[0] == front[1]:
-        raise InputError(f"front: {front[0]!r} stands twice, expected two metrics")
+    check_two(*front)
+
+
+def check_two(first: str, second: str) -> None:
+    """Raise InputError for a front of one metric."""
+    if first == second:
+        raise InputError(f"front: {first!r} stands twice, expected two metrics")
