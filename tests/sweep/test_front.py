@@ -107,6 +107,25 @@ def test_without_a_front_every_point_is_listed(swept: Path, tmp_path: Path) -> N
     assert float(read[7]["system.optics.f_number"]) == study.point(7)["system.optics.f_number"]
 
 
+def test_rows_need_no_picture(tmp_path: Path) -> None:
+    """Shares of variance take 32 drawn points, a CSV file none: where it alone is asked for, it is
+    written and the picture is left out with a note; who asks for the picture is refused.
+    """
+    ranges = '[sample.ranges]\n"link.distance_m" = {low = 1, high = 9}\n'
+    sample = f'[sample]\nmethod = "sobol"\nn = 24\n{ranges}'
+    study = load_study(write(tmp_path, sample, CLOSED.replace('"snr", "minimum_time_s", ', "")))
+    out, path = run_sweep(study, out=tmp_path / "out", workers=0).out, tmp_path / "points.csv"
+    words, reason = ["show", str(out), "--csv", str(path)], "24 drawn points are left"
+    shown = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert f"note: no picture: maximum_distance_m: {reason}, expected 32 or more" in shown.stdout
+    with path.open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == 24
+    assert not list(out.glob("*.png"))
+    asked_metric = [*words, "--metric", "maximum_distance_m"]
+    for asked in (["show", str(out)], asked_metric, [*words, "--out", "snr.png"]):
+        assert reason in str(CliRunner().invoke(app, asked).exception)
+
+
 def test_a_point_that_failed_says_why(swept: Path) -> None:
     data = open_sweep(swept).load()
     data["error"] = data["error"].astype("<U9")
