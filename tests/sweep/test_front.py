@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from twin.cli import app
 from twin.errors import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
+from twin.sweep.dataset import metrics_of
 from twin.sweep.front import all_points, designs_on_front
 from twin.sweep.show import plot_front
 
@@ -74,6 +75,16 @@ def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> N
         read = list(csv.DictReader(file))
     assert list(read[0]) == list(rows[0])
     assert [float(row["snr"]) for row in read] == [row["snr"] for row in rows]
+
+
+def test_metrics_stand_in_the_order_of_the_study(swept: Path, tmp_path: Path) -> None:
+    """The first is drawn unless another is asked for; a folder of arrays has them in any order."""
+    data = open_sweep(swept)
+    expected = list(load_study(swept.parent / "study.toml").metrics)
+    assert metrics_of(data) == expected
+    assert metrics_of(data[sorted(data.data_vars)]) == expected
+    words = ["show", str(swept), "--out", str(tmp_path / "first.png")]
+    assert "variance of snr" in CliRunner().invoke(app, words).stdout
 
 
 def test_a_front_is_of_two_metrics(swept: Path) -> None:
