@@ -158,6 +158,7 @@ def reconstruct(
     ((1, 8, 8), 27, 10000)
     """
     check_kind("record", record, SpiRecord, "hardware.read_record")
+    check_reference(record, reference_ns)
     solve = method_of(method)
     received = with_level(record.received)
     sensing = Sensing(received.patterns, mixing)
@@ -171,7 +172,6 @@ def reconstruct(
                 "measurements, or None"
             )
         check_known(record.patterns, mixing)
-        check_reference(record, reference_ns)
         arrived = record.received
         if isinstance(motion, Search):
             motion, told_of_search = motion_found(record, arrived, variance, motion, reference_ns)
@@ -252,6 +252,11 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+    if left_out := record.n_left_out:
+        yield (
+            f"{left_out} of {n + left_out} exposures that the device numbered are not in the "
+            "record: the image is right only if their patterns are left out as well"
+        )
 
 
 def _with_background(record: SpiRecord) -> Iterator[str]:

@@ -61,7 +61,7 @@ def with_level(record: SpiRecord) -> SpiRecord:
         ),
         counts=record.counts[rows],
         device_time_ns=record.device_time_ns[rows],
-        sequence=record.sequence[rows],
+        sequence=np.arange(len(rows), dtype=np.uint32),  # the device's own has no place for them
         flags=record.flags[rows],
     )
 

@@ -62,6 +62,10 @@ class Sensing:
     mixing: Mixing | None = None
 
     def __post_init__(self) -> None:
+        if self.mixing is not None and not isinstance(self.mixing, Mixing):
+            raise InputError(
+                f"mixing: {type(self.mixing).__name__}, expected Mixing(matrix, rows, columns)"
+            )
         if self.mixing and len(self.mixing.matrix) != self.patterns.n_cells:
             raise InputError(
                 f"mixing: {len(self.mixing.matrix)} emitters, the patterns have "

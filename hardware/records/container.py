@@ -16,6 +16,7 @@ from hardware.files import whole_file
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
 _MOST_RATIO = 1032
 _MOST_ATTRIBUTE_BYTES = 1 << 16
+_NUMBER = int | float | np.integer | np.floating
 
 
 class Flag(IntFlag):
@@ -174,7 +175,8 @@ def _damage(error: Exception) -> str:
 
 
 def check_shapes(record: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise InputError unless every named array has its shape."""
+    """Raise InputError unless every named array is one and has its shape."""
+    check_types(record, **dict.fromkeys(shapes, np.ndarray))
     for name, shape in shapes.items():
         if getattr(record, name).shape != shape:
             raise InputError(f"{name}: shape {getattr(record, name).shape}, expected {shape}")
@@ -185,6 +187,14 @@ def check_types(record: Any, **types: type) -> None:
     for name, kind in types.items():
         if not isinstance(value := getattr(record, name), kind):
             raise InputError(f"{name}: a {type(value).__name__}, expected a {kind.__name__}")
+
+
+def check_whole_numbers(record: Any, *names: str) -> None:
+    """Raise InputError unless every named array holds integers."""
+    for name in names:
+        dtype = getattr(record, name).dtype
+        if not np.issubdtype(dtype, np.integer):
+            raise InputError(f"{name}: dtype {dtype}, expected integers")
 
 
 def check_tuples(record: Any, **types: type) -> None:
@@ -201,7 +211,7 @@ def check_positive(record: Any, *names: str) -> None:
     """Raise InputError unless every named field is a positive, finite number."""
     for name in names:
         value = getattr(record, name)
-        if not (np.isfinite(value) and value > 0):
+        if not (isinstance(value, _NUMBER) and np.isfinite(value) and value > 0):
             raise InputError(f"{name}: {value} is not a positive number")
 
 

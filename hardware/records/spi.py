@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.described import Described
 from hardware.errors import InputError
-from hardware.patterns import Patterns
+from hardware.patterns import Patterns, PatternSet, RasterScan
 from hardware.patterns.from_record import patterns_from_record
 from hardware.records import container
 from hardware.records.container import Flag
@@ -28,7 +28,10 @@ class SpiRecord(Described):
     device_time_ns : (n_exposures,) int64
         Device clock at the start of each exposure.
     sequence : (n_exposures,) uint32
-        The device's own numbering; a gap is a lost exposure.
+        The device's own numbering of its exposures: it rises, and begins anew after 2**32 - 1. An
+        exposure that was lost keeps its row and its number, with `Flag.LOST`; or it is left out
+        together with its pattern, which leaves a gap (`received`). So patterns of a named order,
+        none of which is left out, have no gap.
     flags : (n_exposures,) uint8
         Bits of `Flag`.
     patterns
@@ -64,7 +67,7 @@ class SpiRecord(Described):
     pulse_width_s: float = 0.0
 
     def __post_init__(self) -> None:
-        container.check_types(self, pose=QuaternionPose)
+        container.check_types(self, pose=QuaternionPose, patterns=Patterns, counts=np.ndarray)
         container.check_tuples(self, shutters=Shutter)
         if not self.shutters:
             raise InputError("shutters: none, expected at least one")
@@ -82,18 +85,47 @@ class SpiRecord(Described):
                 f"counts: {self.counts.shape[1]} detectors, expected {self.patterns.n_arms} "
                 "for each image"
             )
-        if not np.issubdtype(self.counts.dtype, np.integer):
-            raise InputError(f"counts: dtype {self.counts.dtype}, expected integers")
-        if not 1 <= self.adc_bits <= 31:
-            raise InputError(f"adc_bits: {self.adc_bits} is not between 1 and 31")
+        container.check_whole_numbers(self, *_BY_EXPOSURE)
+        if not isinstance(self.adc_bits, int | np.integer) or not 1 <= self.adc_bits <= 31:
+            raise InputError(
+                f"adc_bits: {self.adc_bits!r:.60} is not a whole number between 1 and 31"
+            )
         top = 2**self.adc_bits - 1
         if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
             raise InputError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
+        self._check_sequence()
         container.check_positive(self, "integration_time_s", "electrons_per_count")
         if not np.isfinite(self.offset_counts):
             raise InputError(f"offset_counts: {self.offset_counts} is not a number")
         if not np.isfinite(self.pose).all():
             raise InputError("pose: a value is no number")
+
+    def _check_sequence(self) -> None:
+        """Raise InputError for numbers that contradict that row k shows pattern k."""
+        steps = self._steps
+        wrong = (steps == 0) | (steps >= 2**31)  # a step back is one forward by nearly 2**32
+        named = isinstance(self.patterns, PatternSet | RasterScan) and self.patterns.subset is None
+        if named and not wrong.any():
+            wrong = steps != steps.min(initial=2**32)  # `by_shutter` gives larger ones, all alike
+        if not wrong.any():
+            return
+        row = int(np.argmax(wrong)) + 1
+        before, number = int(self.sequence[row - 1]), int(self.sequence[row])
+        raise InputError(
+            f"sequence: exposure {number} in row {row} follows {before}, expected "
+            f"{(before + 1) % 2**32}: one that was lost keeps its row, with Flag.LOST"
+        )
+
+    @property
+    def _steps(self) -> NDArray[np.int64]:
+        """From one exposure's number to the next one's, in numbers of 32 bits."""
+        return np.asarray(np.mod(np.diff(self.sequence.astype(np.int64)), 2**32))
+
+    @property
+    def n_left_out(self) -> int:
+        """Exposures that the device numbered between those of this record and that have no row."""
+        steps = self._steps
+        return int((steps // steps.min() - 1).sum()) if steps.size else 0
 
     @property
     def received(self) -> "SpiRecord":

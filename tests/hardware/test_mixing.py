@@ -5,7 +5,7 @@ import pytest
 from scipy import fft
 from spi_records import record_of, scene
 
-from hardware import PatternSet, reconstruct
+from hardware import InputError, PatternSet, reconstruct
 from hardware.reconstruction import Mixing, Sensing
 from hardware.reconstruction.methods.lmmse import lmmse_plan
 from hardware.reconstruction.prior import prior_spectrum
@@ -58,3 +58,9 @@ def test_a_mixing_that_does_not_fit_is_refused() -> None:
         Mixing(np.full((64, 64), np.nan), 8, 8)
     with pytest.raises(ValueError, match=r"needs a clean grid"):
         reconstruct(record, "zero-fill", mixing=Mixing(np.eye(64), 8, 8))
+
+
+def test_a_matrix_in_a_mixings_place_is_refused() -> None:
+    for given in (np.eye(64), np.eye(1), 3):
+        with pytest.raises(InputError, match=r"^mixing: \w+, expected Mixing\(matrix"):
+            Sensing(PatternSet(8, 8, 64), given)  # type: ignore[arg-type]

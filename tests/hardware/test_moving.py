@@ -363,6 +363,7 @@ def test_bad_motion_is_named(motion, told: str) -> None:
         (lambda: {"motion": SHIFT, "reference_ns": 10**15}, "reference_ns: 10{15}, expected"),
         (lambda: {"motion": SHIFT, "reference_ns": -(10**25)}, "reference_ns: -10{25}, expected"),
         (lambda: {"motion": SHIFT, "reference_ns": "x"}, "reference_ns: 'x', expected a whole"),
+        (lambda: {"reference_ns": "x"}, "reference_ns: 'x', expected a whole"),
         (lambda: {"compensation": Compensation(oversampling=1.5)}, "oversampling: 1.5, expected"),
         (lambda: {"compensation": Compensation(error_samples=1.5)}, "error_samples: 1.5, exp"),
         (lambda: {"compensation": Compensation(prior_rows=0.5)}, "prior_rows: 0.5, expected"),

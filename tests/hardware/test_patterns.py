@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.linalg import hadamard
 
-from hardware import compiled
+from hardware import InputError, compiled
 from hardware.patterns import ORDERS, PatternSet, fwht, fwht_in_place, hadamard_rows
 
 
@@ -82,12 +82,15 @@ def test_complement_follows_its_pattern() -> None:
         ("columns", (64, 0, 1)),
         ("count", (4, 4, 17)),
         ("count", (4, 4, 0)),
+        ("rows", (4.0, 4, 1)),
+        ("columns", (4, "4", 1)),
+        ("count", (4, 4, 1.5)),
         ("order", (4, 4, 1, "random")),
         ("mode", (4, 4, 1, "natural", "both")),
     ],
 )
 def test_bad_sets_name_the_field(field: str, arguments: tuple) -> None:
-    with pytest.raises(ValueError, match=f"^{field}: "):
+    with pytest.raises(InputError, match=f"^{field}: "):
         PatternSet(*arguments)
 
 

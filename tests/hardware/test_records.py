@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from hardware import PatternSet, SpiRecord, read_record, write_record
-from hardware.records import QuaternionPose, Shutter
+from hardware import InputError, PatternSet, SpiRecord, read_record, write_record
+from hardware.records import Flag, QuaternionPose, Shutter
 
 
 def make_record() -> SpiRecord:
@@ -133,20 +133,69 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     [
         ("counts", np.zeros((3, 1), np.int32)),
         ("counts", np.zeros((32, 1))),
+        ("counts", [[0]] * 32),
+        ("device_time_ns", np.zeros(32)),
+        ("flags", [0] * 32),
+        ("flags", np.zeros(32)),
+        ("patterns", None),
         ("counts", np.full((32, 1), 70_000, np.int32)),
         ("counts", np.full((32, 1), -1, np.int32)),
         ("sequence", np.zeros(3, np.uint32)),
+        ("sequence", np.zeros(32, np.uint32)),
+        ("sequence", np.arange(32, dtype=np.uint32)[::-1]),
+        ("sequence", np.tile(np.arange(16, dtype=np.uint32), 2)),
         ("pose", np.zeros(3)),
         ("integration_time_s", 0.0),
         ("electrons_per_count", float("nan")),
         ("adc_bits", 0),
+        ("adc_bits", 16.0),
+        ("integration_time_s", "1 ms"),
         ("pulse_width_s", -1e-9),
         ("pulse_width_s", float("nan")),
     ],
 )
 def test_a_record_that_no_device_could_send_is_refused(field: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"^{field}: "):
+    with pytest.raises(InputError, match=f"^{field}: "):
         replace(make_record(), **{field: value})
+
+
+def test_a_gap_in_the_numbers_of_a_named_order_is_refused(tmp_path: Path) -> None:
+    """Of 32 exposures number 9 never came and 32, of the next set, stands in the last row: each
+    row behind the gap would be taken for the pattern before its own.
+    """
+    record = make_record()
+    numbers = np.delete(np.arange(33, dtype=np.uint32), 9)
+    expected = "sequence: exposure 10 in row 9 follows 8, expected 9: one that was lost keeps"
+    with pytest.raises(InputError, match=f"^{expected}"):
+        replace(record, sequence=numbers)
+    write_record(record, tmp_path / "r.h5")
+    with h5py.File(tmp_path / "r.h5", "a") as file:
+        file["sequence"][:] = numbers
+    with pytest.raises(InputError, match=rf"r\.h5: {expected}"):
+        read_record(tmp_path / "r.h5")
+
+
+def test_numbers_that_are_right_are_taken() -> None:
+    """Of any set, round 2**32, of one shutter of several, and of patterns that were left out: a gap
+    tells how many exposures.
+    """
+    record = make_record()
+    for start in (32, 2**32 - 5):
+        numbers = ((start + np.arange(32)) % 2**32).astype(np.uint32)
+        assert replace(record, sequence=numbers).n_left_out == 0
+    two = replace(
+        record,
+        shutters=(Shutter(gate_width_s=1e-8), Shutter(gate_delay_s=1e-8, gate_width_s=1e-8)),
+        **{name: np.repeat(getattr(record, name), 2, axis=0) for name in ("counts", "flags")},
+        device_time_ns=np.arange(64),
+        sequence=np.arange(64, dtype=np.uint32),
+    )
+    assert [part.n_left_out for part in two.by_shutter] == [0, 0]
+    flags = two.flags.copy()
+    flags[[20, 41]] = Flag.LOST  # in pairs 5 and 10
+    received = replace(two, flags=flags).received
+    assert (received.n_left_out, received.patterns.count) == (8, 14)
+    assert [part.n_left_out for part in received.by_shutter] == [4, 4]
 
 
 def test_a_subset_of_patterns_is_kept(tmp_path: Path) -> None:

@@ -306,6 +306,10 @@ def test_lost_patterns_are_left_out_of_the_image() -> None:
     np.testing.assert_allclose(found.image[0].ravel(), H.T @ (H @ cells[:, 0]) / 64)
     with pytest.raises(ValueError, match="flags: exposures are lost"):
         reconstruct(replace(record, flags=np.full(n, Flag.LOST, np.uint8)))
+    left_out = reconstruct(gappy.received, "zero-fill")
+    np.testing.assert_array_equal(left_out.image, found.image)
+    (told,) = left_out.warnings
+    assert told.startswith("4 of 128 exposures that the device numbered are not in the record")
 
 
 # What goes wrong before anything is measured.

@@ -196,6 +196,10 @@ def test_one_electron_a_photon() -> None:
             "[readout]\ntransimpedance_ohm = 1e6\nfeedback_capacitance_f = 1e-12",
             "either transimpedance_ohm or feedback_capacitance_f",
         ),
+        (
+            "[readout]\nfull_well_e = 1e6",
+            r"readout: full_well_e = 1e\+06: a transimpedance amplifier has no well, expected feed",
+        ),
         ("[detector]\nresponsivity_csv = 'no.csv'", r"detector\.responsivity_csv = .*no\.csv'"),
         ("[emitter]\nspectrum_csv = 'no.csv'", "spectrum_csv = .* expected a file, there is none"),
     ],

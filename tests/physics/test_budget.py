@@ -47,6 +47,19 @@ def test_the_link_is_that_of_the_camera() -> None:
     assert link.signal_e_per_s(0.8, 10.0) == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_link_takes_what_a_wall_can_be() -> None:
+    """No light comes from nowhere: by the formula -5 m were as good as 5 m, and 0 m infinite."""
+    link = paper_link("fga015")
+    for distance_m in (-5.0, 0.0, np.nan, np.array([5.0, -1.0])):
+        with pytest.raises(InputError, match=r"^distance_m: \S+ m, expected above 0$"):
+            link.signal_e_per_s(0.5, distance_m)
+    for reflectance in (-0.1, 2.0, np.nan, np.array([0.5, 1.5])):
+        for call in (lambda rho: link.signal_e_per_s(rho, 5.0), link.background_e_per_s):
+            with pytest.raises(InputError, match=r"^reflectance: \S+, expected 0 to 1$"):
+                call(reflectance)
+    assert np.all(link.signal_e_per_s(np.array([0.0, 1.0]), np.array([1e-3, 1e9])) >= 0)
+
+
 def test_minimum_time_gives_the_snr_asked_for() -> None:
     rng = np.random.default_rng(0)
     signal, background, read = rng.lognormal(5, 4, (3, 1000))

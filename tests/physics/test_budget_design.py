@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from hardware.formatting import si
 from twin import cli
 from twin.budget import wall_rows
 from twin.budget.design import left_out
-from twin.budget.report import print_design, write_design
+from twin.budget.report import design_verdict, print_design, write_design
 from twin.camera import capture
 from twin.errors import InputError
 from twin.fidelity import Fidelity
@@ -122,6 +123,36 @@ def test_saturation_is_void_here_too(system, tmp_path: Path) -> None:
     print_design(made, [row], Console(file=printed, width=250))
     assert "none" in printed.getvalue()
     assert "inf" not in printed.getvalue()
+
+
+def test_where_every_wall_saturates_words_say_so(monkeypatch, capsys, tmp_path: Path) -> None:
+    """In full sun no wall is measured: "at up to nan m" said nothing. Whichever reflectance comes
+    first, one that is measured has a distance.
+    """
+    (tmp_path / "sun.toml").write_text('base = "workable"\n[sky]\nilluminance_lx = 100e3\n')
+    asked = ("--system", str(tmp_path / "sun.toml"))
+    words = "sun: saturates at every distance at which the SNR per pixel would reach 1"
+    code, printed, _ = budget(*asked, monkeypatch=monkeypatch, capsys=capsys)
+    assert code == 0
+    assert words in printed
+    _, printed, _ = budget(*asked, "--json", monkeypatch=monkeypatch, capsys=capsys)
+    content = json.loads(printed, parse_constant=pytest.fail)  # NaN, Infinity
+    assert content["verdict"] == words
+    assert {row["maximum_distance_m"] for row in content["walls"]} == {None}
+    (tmp_path / "sun.toml").write_text('base = "workable"\n[sky]\nilluminance_lx = 30e3\n')
+    made = load_system(tmp_path / "sun.toml")
+    rows = wall_rows(made, [5.0], [0.9, 0.1])
+    far = [row.maximum_distance_m for row in rows]
+    assert math.isnan(far[0])
+    assert math.isfinite(far[1])
+    assert design_verdict(made, rows) == f"sun: SNR 1 per pixel at up to {si(far[1], 'm')}"
+
+
+def test_gates_have_no_farthest_distance(system) -> None:
+    gates = "pulse_width_s = 2e-8\npulse_rate_hz = 1e5\ngate_width_s = 2e-8\ngate_delays_s = [1e-8]"
+    made = system(f"[time_of_flight]\n{gates}\n")
+    told = design_verdict(made, wall_rows(made, [Z], [RHO]))
+    assert told.endswith(": no farthest distance for SNR 1: gates are open at some alone")
 
 
 def budget(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:

@@ -14,6 +14,7 @@ from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.records import Flag, QuaternionPose
 from twin.detector import FrontEnd, expose, noise_budget
 from twin.detector.noise import settled_share
+from twin.schemas import file_schema
 from twin.system import System, load_part, load_system
 
 ALARM = 1e-6
@@ -110,6 +111,18 @@ def test_quantisation_noise_is_a_twelfth_of_a_step() -> None:
     expected = 200.0**2 + 100.0**2 / 12
     spread = expected * np.sqrt(2 / 200_000)
     assert abs(electrons.var() - expected) < stats.norm.isf(ALARM / 2) * spread
+
+
+def test_the_full_scale_is_one_step_above_the_highest_code() -> None:
+    """A step is the full scale over 2^bits, as the schema says: 2^bits - 1 steps give the top."""
+    system = load_system("workable")
+    readout, front_end = system.readout, FrontEnd.of(system)
+    step_v = readout.adc_full_scale_v.value / 2**readout.adc_bits.value
+    volts_per_e = constants.e * readout.transimpedance_ohm.value
+    volts_per_e /= system.acquisition.integration_time_s.value
+    assert front_end.electrons_per_count * volts_per_e == pytest.approx(step_v, rel=1e-12)
+    described = file_schema("system")["$defs"]["Readout"]["properties"]["adc_full_scale_v"]
+    assert "steps of adc_full_scale_v / 2^adc_bits" in described["description"]
 
 
 def test_no_light_gives_the_offset() -> None:

@@ -11,8 +11,11 @@ from studies import CLOSED, write
 from typer.testing import CliRunner
 
 from twin.cli import app
+from twin.errors import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
+from twin.sweep.dataset import metrics_of
 from twin.sweep.front import all_points, designs_on_front
+from twin.sweep.show import plot_front
 
 GRID = """
 [grid]
@@ -74,6 +77,26 @@ def test_printed_as_a_table_as_csv_and_as_json(swept: Path, tmp_path: Path) -> N
     assert [float(row["snr"]) for row in read] == [row["snr"] for row in rows]
 
 
+def test_metrics_stand_in_the_order_of_the_study(swept: Path, tmp_path: Path) -> None:
+    """The first is drawn unless another is asked for; a folder of arrays has them in any order."""
+    data = open_sweep(swept)
+    expected = list(load_study(swept.parent / "study.toml").metrics)
+    assert metrics_of(data) == expected
+    assert metrics_of(data[sorted(data.data_vars)]) == expected
+    words = ["show", str(swept), "--out", str(tmp_path / "first.png")]
+    assert "variance of snr" in CliRunner().invoke(app, words).stdout
+
+
+def test_a_front_is_of_two_metrics(swept: Path) -> None:
+    words = ["show", str(swept), "--metric", "snr", "--front", "snr"]
+    shown = CliRunner().invoke(app, words)
+    assert isinstance(shown.exception, InputError)
+    assert str(shown.exception) == "front: 'snr' stands twice, expected two metrics"
+    for make in (designs_on_front, plot_front):
+        with pytest.raises(InputError, match="stands twice"):
+            make(open_sweep(swept), "snr", "snr")
+
+
 def test_a_front_without_points_says_so(swept: Path) -> None:
     data = open_sweep(swept).load()
     designs = designs_on_front(data.assign(snr=data["snr"] * np.nan), *METRICS)
@@ -93,6 +116,25 @@ def test_without_a_front_every_point_is_listed(swept: Path, tmp_path: Path) -> N
     assert {"snr", "minimum_time_s", "maximum_distance_m", "snr.half_width"} <= set(read[0])
     assert [float(row["snr"]) for row in read] == data["snr"].to_numpy().ravel().tolist()
     assert float(read[7]["system.optics.f_number"]) == study.point(7)["system.optics.f_number"]
+
+
+def test_rows_need_no_picture(tmp_path: Path) -> None:
+    """Shares of variance take 32 drawn points, a CSV file none: where it alone is asked for, it is
+    written and the picture is left out with a note; who asks for the picture is refused.
+    """
+    ranges = '[sample.ranges]\n"link.distance_m" = {low = 1, high = 9}\n'
+    sample = f'[sample]\nmethod = "sobol"\nn = 24\n{ranges}'
+    study = load_study(write(tmp_path, sample, CLOSED.replace('"snr", "minimum_time_s", ', "")))
+    out, path = run_sweep(study, out=tmp_path / "out", workers=0).out, tmp_path / "points.csv"
+    words, reason = ["show", str(out), "--csv", str(path)], "24 drawn points are left"
+    shown = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert f"note: no picture: maximum_distance_m: {reason}, expected 32 or more" in shown.stdout
+    with path.open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == 24
+    assert not list(out.glob("*.png"))
+    asked_metric = [*words, "--metric", "maximum_distance_m"]
+    for asked in (["show", str(out)], asked_metric, [*words, "--out", "snr.png"]):
+        assert reason in str(CliRunner().invoke(app, asked).exception)
 
 
 def test_a_point_that_failed_says_why(swept: Path) -> None:

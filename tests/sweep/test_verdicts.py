@@ -19,6 +19,7 @@ from twin.sweep import Study, load_study, open_sweep, run_sweep
 from twin.sweep.dataset import column
 from twin.sweep.effects import check_points
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.front import all_points
 from twin.sweep.inputs import inputs_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import plot_front, plot_plane
@@ -33,7 +34,7 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
         tmp_path,
         '[grid]\n"system.detector.width_m" = ["150 um", "3 mm"]\n'
         '"system.sky.illuminance_lx" = [100, 1e5]\n',
-        SMALL.replace("psnr_db", "signal_e"),
+        SMALL.replace("psnr_db", 'signal_e", "saturated'),
     )
     summary = run_sweep(path, out=tmp_path / "out", scheduler=a_worker)
     data = open_sweep(tmp_path / "out").load()
@@ -58,6 +59,14 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
     assert np.isfinite(
         plot_front(data, "signal_e", "snr_median", void=True).axes[0].lines[0].get_xdata()
     ).all()
+    # Listed, the void point has no numbers, and no widths, of what its record does not tell.
+    rows = all_points(data)
+    is_void = data["void"].to_numpy().ravel().tolist()
+    for end in ("", ".half_width"):
+        assert [bool(np.isnan(row[f"signal_e{end}"])) for row in rows] == is_void
+    assert [row["saturated"] for row in rows] == data["saturated"].to_numpy().ravel().tolist()
+    assert rows[is_void.index(True)]["saturated"] == 1
+    assert np.isfinite([row["signal_e.half_width"] for row in all_points(data, void=True)]).all()
     # Signal knows nothing of the sun: without the void point the diode is all that moves it.
     shares = sensitivities(data, "signal_e")
     assert shares["system.detector.width_m"].first == pytest.approx(1.0)
@@ -214,6 +223,7 @@ def test_what_has_no_effect_is_refused(
         ),
         ('[grid]\n"scene.sun.illuminance_lx" = [0.0, 1e5]\n', SMALL, "a sky of its own"),
         ('[grid]\n"link.distance_m" = [1.0]\n', 'system = "foggy.toml"\n' + CLOSED, "has weather"),
+        ('[grid]\n"link.distance_m" = [1.0]\n', 'scene = "nope"\n' + CLOSED, "nope: no such scene"),
     ],
 )
 def test_what_no_point_can_be_is_found_before_the_first(

@@ -60,11 +60,37 @@ def test_what_the_vehicle_finds_wrong_is_the_twin_s_input_error() -> None:
         ),
         (lambda: hardware.reconstruct("record.h5"), "record = 'record.h5': .*hardware.read_record"),  # type: ignore[arg-type]
         (lambda: hardware.process("radar.h5"), "expected a RadarRecord"),  # type: ignore[arg-type]
+        (
+            lambda: twin.evaluate(twin.load_system("workable"), None),  # type: ignore[arg-type]
+            "^capture = None: expected a Capture, as twin.capture",
+        ),
+        (
+            lambda: twin.evaluate("workable", None),  # type: ignore[arg-type]
+            "^system = 'workable': expected a System",
+        ),
+        (lambda: twin.Part(name="x"), "^part: needs exactly one section of emitter, .*weather$"),
+        (lambda: twin.Part(name="x", lens=3), "^part: lens = 3: no such field"),  # type: ignore[call-arg]
     ],
 )
 def test_a_name_in_place_of_what_it_names_is_told(call: Callable[[], object], told: str) -> None:
     with pytest.raises(InputError, match=told):
         call()
+
+
+def test_what_is_scored_beside_a_capture_is_checked() -> None:
+    """Of another grid, or no image at all: before anything is reconstructed."""
+    small = {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
+    system = twin.load_system("workable").with_(small)
+    knobs = twin.Fidelity(samples=4, max_depth=1)
+    taken = twin.capture(twin.load_scene("table1"), system, fidelity=knobs)
+    with pytest.raises(InputError, match=r"^system: workable shows 64 x 64 cells, expected"):
+        twin.evaluate(twin.load_system("workable"), taken)
+    with pytest.raises(InputError, match=r"^reconstructions\[0\] = 3: expected a Reconstruction"):
+        twin.evaluate(system, taken, [3])  # type: ignore[list-item]
+    image = hardware.reconstruct(taken.record)
+    with pytest.raises(InputError, match=r"^reconstructions: a Reconstruction, expected a list"):
+        twin.evaluate(system, taken, image)  # type: ignore[arg-type]
+    assert twin.evaluate(system, taken, [image]).reconstructions == (image,)
 
 
 @pytest.mark.parametrize("error", [InputError("a: b"), EngineError("a: b"), DeviceError("a: b")])

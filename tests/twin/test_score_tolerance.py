@@ -162,7 +162,7 @@ def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Pat
     """Light is chosen for the first point; from 20 m farther off its errors are larger."""
     study = tmp_path / "study.toml"
     study.write_text(
-        'scene = "table1"\nmetrics = ["psnr_db"]\n[set]\n"system.emitter.rows" = 16\n'
+        'scene = "table1"\nmetrics = ["psnr_db", "ssim"]\n[set]\n"system.emitter.rows" = 16\n'
         '"system.emitter.columns" = 16\n"system.acquisition.n_patterns" = 256\n'
         '[grid]\n"scene.rig.x_m" = [1.0, -20.0]\n'
     )
@@ -174,7 +174,7 @@ def test_points_of_a_sweep_that_are_less_exact_than_asked_are_told(tmp_path: Pat
     np.testing.assert_array_equal(data["warned.score"], [False, True])
     for options, is_told in (
         (["--x", "scene.rig.x_m"], True),
-        (["--front", "psnr_db", "--csv", str(tmp_path / "front.csv")], False),
+        (["--front", "ssim", "--csv", str(tmp_path / "front.csv")], False),
         (["--save", str(tmp_path / "best.toml")], False),
         (["--save", str(tmp_path / "one.toml"), "--point", "1"], True),
         (["--save", str(tmp_path / "other.toml"), "--point", "0"], False),

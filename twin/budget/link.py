@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
+from twin.errors import InputError
+
 Number = float | NDArray[np.float64]
 
 
@@ -35,16 +37,25 @@ class OpticalLink:
     lit_share: Number = 1.0
 
     def signal_e_per_s(self, reflectance: Number, distance_m: Number) -> Number:
-        """Photo-electrons per second from the emitter, all cells lit."""
+        """Photo-electrons per second from the emitter, all cells lit. Raises InputError for a
+        reflectance outside 0 to 1, and for a distance that is not above 0.
+        """
+        if not np.all(np.asarray(distance_m) > 0):
+            raise InputError(f"distance_m: {np.min(distance_m):g} m, expected above 0")
         irradiance = self.radiant_intensity_w_per_sr * self.in_band / np.square(distance_m)
         return self._electrons(self.lit_share * irradiance, reflectance)
 
     def background_e_per_s(self, reflectance: Number) -> Number:
-        """Photo-electrons per second from the sun, and thermal ones."""
+        """Photo-electrons per second from the sun, and thermal ones. Raises InputError for a
+        reflectance outside 0 to 1.
+        """
         return self._electrons(self.sun_w_per_m2, reflectance) + self.dark_current_a / constants.e
 
     def _electrons(self, irradiance: Number, reflectance: Number) -> Number:
         """Rho E tau A / (4 N^2 + 1) through the responsivity."""
+        if not np.all((np.asarray(reflectance) >= 0) & (np.asarray(reflectance) <= 1)):
+            worst = np.max(reflectance) if np.max(reflectance) > 1 else np.min(reflectance)
+            raise InputError(f"reflectance: {worst:g}, expected 0 to 1")
         collected = self.transmission * self.pixel_area_m2 / (4 * np.square(self.f_number) + 1)
         return reflectance * irradiance * collected * self.responsivity_a_per_w / constants.e
 

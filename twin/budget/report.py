@@ -73,6 +73,17 @@ def print_design(system: System, rows: Sequence[WallRow], console: Console) -> N
     console.print(table)
 
 
+def design_verdict(system: System, rows: Sequence[WallRow]) -> str:
+    """The farthest wall with an SNR per pixel of 1, in words; or why there is none."""
+    known = [row.maximum_distance_m for row in rows if not math.isnan(row.maximum_distance_m)]
+    if known:
+        return f"{system.name}: SNR 1 per pixel at up to {si(max(known), 'm')}"
+    tof = system.time_of_flight
+    if tof is not None and tof.gate_delays_s is not None:
+        return f"{system.name}: no farthest distance for SNR 1: gates are open at some alone"
+    return f"{system.name}: saturates at every distance at which the SNR per pixel would reach 1"
+
+
 def design_content(system: System, rows: Sequence[WallRow]) -> dict[str, Any]:
     """Every number of the table, for JSON."""
     walls = [{**asdict(row), "saturates": row.saturates} for row in rows]
@@ -103,8 +114,7 @@ def plot_design(system: System, rows: Sequence[WallRow]) -> Figure:
     axis.axhline(1.0, color=GREY, lw=0.8)
     axis.set_xlabel("distance of the wall (m)")
     axis.set_ylabel("signal / noise per pixel")
-    far = max((r.maximum_distance_m for r in rows if r.maximum_distance_m < math.inf), default=0.0)
-    axis.set_title(f"{system.name}: SNR 1 at up to {si(far, 'm')}")
+    axis.set_title(design_verdict(system, rows), fontsize=9, wrap=True)
     axis.legend(frameon=False)
     return figure
 

@@ -30,6 +30,7 @@ from twin.camera.intervals import (
 from twin.camera.range_score import RangeScore, range_score
 from twin.camera.score import Score, score_of
 from twin.camera.verdict import ImageVerdict
+from twin.errors import InputError, check_kind
 from twin.system import System
 
 #: Methods of every evaluation: the plain inverse and the vehicle's default.
@@ -107,7 +108,7 @@ def evaluate(
     by ``method``, a bundled one or a user's own, see `hardware.reconstruct`. They come back with
     the highest PSNR first, whatever order they were given in: tell them by their `method`.
 
-    Raises InputError for a reconstruction on another grid than the capture's.
+    Raises InputError for a system or a reconstruction of another grid than the capture's.
 
     >>> from twin.camera.acquisition import capture
     >>> from twin.fidelity import PRESETS
@@ -123,6 +124,7 @@ def evaluate(
     >>> found.verdict.void
     False
     """
+    _check(system, capture, reconstructions)
     record = capture.record
     bundled = SHOWN_OF_OWN if isinstance(record.patterns, OwnPatterns) else SHOWN
     shown = [METHODS[name] for name in bundled if fits_in_memory(name, record.patterns)]
@@ -134,3 +136,24 @@ def evaluate(
     scored.sort(key=lambda pair: -pair[1].psnr_db)
     ordered = tuple(image for image, _ in scored), tuple(score for _, score in scored)
     return Evaluation(system, capture, *ordered, asked=own.name if own else None)
+
+
+def _check(system: System, capture: Capture, reconstructions: object) -> None:
+    """Raise InputError for what `evaluate` cannot score."""
+    check_kind("system", system, System, "twin.load_system")
+    check_kind("capture", capture, Capture, "twin.capture")
+    shown, of = (
+        f"{patterns.rows} x {patterns.columns} cells"
+        for patterns in (system.patterns, capture.record.patterns)
+    )
+    if shown != of:
+        raise InputError(
+            f"system: {system.name} shows {shown}, expected the {of} that the capture is of"
+        )
+    if reconstructions is None:
+        return
+    if not isinstance(reconstructions, list | tuple):
+        kind = type(reconstructions).__name__
+        raise InputError(f"reconstructions: a {kind}, expected a list of them")
+    for place, image in enumerate(reconstructions):
+        check_kind(f"reconstructions[{place}]", image, Reconstruction, "hardware.reconstruct")

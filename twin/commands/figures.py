@@ -9,7 +9,6 @@ import typer
 
 from hardware.commands.output import Output
 from hardware.commands.quantities import quantity_of
-from hardware.formatting import si
 from twin.commands import console_of
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ def _own_design(
 ) -> "Callable[[Path], None]":
     """Print a system's own budget; how to write it."""
     from twin.budget.design import left_out, wall_rows
-    from twin.budget.report import design_content, print_design, write_design
+    from twin.budget.report import design_content, design_verdict, print_design, write_design
 
     rows = wall_rows(design, distances_m, reflectances)
     if note := design.sampling_note:
@@ -100,8 +99,7 @@ def _own_design(
     print_design(design, rows, console_of(say))
     if missing:
         say.line(f"left out: {', '.join(missing)}")
-    far = max(row.maximum_distance_m for row in rows)
-    verdict = f"{design.name}: SNR 1 per pixel at up to {si(far, 'm')}"
+    verdict = design_verdict(design, rows)
     say.add(verdict=verdict)
     say.verdict(verdict)
     return lambda folder: write_design(design, rows, folder)

@@ -170,6 +170,7 @@ def show(
     from twin.sweep.show import plot_front, plot_plane
 
     data = open_sweep(sweep)
+    needs_picture = metric is not None or out is not None or csv is None
     metric = metric or metrics_of(data)[0]
     if point is not None and save is None:
         raise InputError("--point: chooses the point to save; expected --save FILE.toml beside it")
@@ -180,7 +181,12 @@ def show(
     elif x is not None:
         figure = plot_plane(data, metric, x, y, void=void)
     elif save is None:
-        figure = _tell_sensitivities(say, data, metric, void=void)
+        try:
+            figure = _tell_sensitivities(say, data, metric, void=void)
+        except InputError as error:
+            if needs_picture:
+                raise
+            say.line(f"note: no picture: {error}")
     if figure is not None:
         drawn = "-".join(filter(None, (metric, front))).replace(":", ".")
         out = out or sweep / f"{drawn}.png"

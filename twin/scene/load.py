@@ -57,7 +57,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
         raise InputError(f"scene = {scene!r:.60}: expected a name, a path or a twin.Scene")
     if isinstance(scene, Scene):
         return scene if pose is None else scene.at(pose)
-    path = _find(scene)
+    path = scene_file(scene)
     document = xml.read_xml(path)
     names = [shape.name for shape in document.shapes]
     for name, count in Counter(names).items():
@@ -128,7 +128,8 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     )
 
 
-def _find(scene: str | Path) -> Path:
+def scene_file(scene: str | Path) -> Path:
+    """The XML file of a scene by name, folder or file, unread. Raises InputError for none."""
     bundled = scenes_folder() / str(scene) / "scene.xml"
     path = Path(scene)
     if path.is_dir():

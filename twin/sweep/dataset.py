@@ -1,5 +1,6 @@
 """Results of a sweep, labelled: metrics over the study's dimensions, with what was said of them."""
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -171,13 +172,15 @@ def _void_columns(study: Study, metric: str) -> list[str]:
 
 
 def metrics_of(data: "xarray.Dataset") -> list[str]:
-    """Names of what was measured."""
+    """Names of what was measured, in the order of the study: a file has them in any."""
     beside = ("error", COARSE, *VOID.values())
-    return [
+    found = [
         name
         for name in map(str, data.data_vars)
         if name not in beside and not name.startswith(WARNED) and error_of(name) is None
     ]
+    order = json.loads(data.attrs.get("study", "{}")).get("metrics", [])
+    return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
 
 def half_width(

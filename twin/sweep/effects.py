@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.files import InputError
+from twin.scene.load import scene_file
 from twin.sweep.closed_form import closed_form
 from twin.sweep.dataset import COARSE, metrics_of
-from twin.sweep.inputs import ChangedError, Inputs
+from twin.sweep.inputs import ChangedError, Inputs, beside
 from twin.sweep.setup import setup
 from twin.sweep.study import Study
 
@@ -20,10 +21,13 @@ _MOST_TRIED = 4096
 
 def check_points(study: Study, inputs: Inputs) -> None:
     """A fault of the whole study, before any work: raise InputError where no point can be set up,
-    or a parameter of the sun is overruled in all of them.
+    a parameter of the sun is overruled in all of them, or a closed form, which needs no scene,
+    names one that is not there.
 
     One point that can be set up is enough: another that can't becomes a row with its error.
     """
+    if study.model == "closed-form" and f"scene {study.scene}" not in inputs.objects:
+        scene_file(beside(study.scene, study.folder))
     first: Exception | None = None
     n, most = study.n_points, min(study.n_points, _MOST_TRIED)
     for index in np.linspace(0, n - 1, most).astype(int).tolist():

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
 from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of, warned_points
+from twin.sweep.names import RENDERED, check_two
 from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
@@ -95,8 +96,9 @@ def designs_on_front(
 ) -> FrontDesigns:
     """Designs on the front of a sweep's dataset; ``void``: points of void records count too.
 
-    Raises InputError for a metric that was not measured.
+    Raises InputError for a metric that was not measured, and for the same one twice.
     """
+    check_two(first, second)
     names = (first, second)
     columns = [column(data, name, void=void) for name in names]
     values = [each.to_numpy().ravel() for each in columns]
@@ -139,18 +141,26 @@ def _rows(
         # A parameter varies along its own dimension alone.
         settings = data[name].broadcast_like(like).transpose(*like.dims)
         found[name] = settings.to_numpy().ravel()[points].tolist()
+    values = {name: _values(data, name, void=void)[points] for name in metrics}
     for name in metrics:
-        found[name] = column(data, name, void=void).to_numpy().ravel()[points].tolist()
+        found[name] = values[name].tolist()
     for name in metrics:
         width = half_width(data, name)
         known = np.full(like.size, np.nan) if width is None else width.to_numpy().ravel()
-        found[f"{name}.half_width"] = known[points].tolist()
+        told = np.where(np.isnan(values[name]), np.nan, known[points])
+        found[f"{name}.half_width"] = told.tolist()
     marked = {one.kind: set(one.points) for one in warned_points(data)}
     found["warned"] = [
         " ".join(kind for kind, some in marked.items() if point in some)
         for point in points.tolist()
     ]
     return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
+
+
+def _values(data: "xarray.Dataset", metric: str, *, void: bool) -> NDArray[np.float64]:
+    """A metric of all points; NaN where the record is void, unless it says why it is."""
+    says_why = metric in RENDERED and RENDERED[metric].why_void
+    return column(data, metric, void=void or says_why).to_numpy().ravel()
 
 
 def _parameters(data: "xarray.Dataset") -> tuple[str, ...]:

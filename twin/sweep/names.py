@@ -11,7 +11,8 @@ from twin.errors import InputError
 @dataclass(frozen=True)
 class Named:
     """A number's unit and what it is; ``of_radar``: the radar must run for it, ``of_image``: an
-    image must be reconstructed; ``better``: more of it, or less.
+    image must be reconstructed; ``better``: more of it, or less; ``why_void``: it says why a record
+    is void, and is listed of void points too.
     """
 
     unit: str
@@ -19,6 +20,7 @@ class Named:
     of_radar: bool = False
     of_image: bool = False
     better: Literal["more", "less"] = "more"
+    why_void: bool = False
 
 
 #: Said with what is solved for: at the time or distance found, either may be another.
@@ -34,7 +36,7 @@ RENDERED = {
     "signal_e": Named("e", "signal of one average exposure"),
     "background_e": Named("e", "sun in one exposure", better="less"),
     "noise_e": Named("e", "noise of one exposure", better="less"),
-    "saturated": Named("1", "share of exposures marked saturated", better="less"),
+    "saturated": Named("1", "share of exposures marked saturated", better="less", why_void=True),
     "in_band": Named("1", "share of the emitter's line inside the filter"),
     "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
     "ssim": Named("1", "structural similarity of the image", of_image=True),
@@ -124,5 +126,10 @@ def check_front(front: tuple[str, str] | None, metrics: tuple[str, ...]) -> None
     for name in front:
         if name not in metrics:
             raise InputError(f"front: {name!r} is none of the metrics {', '.join(metrics)}")
-    if front[0] == front[1]:
-        raise InputError(f"front: {front[0]!r} stands twice, expected two metrics")
+    check_two(*front)
+
+
+def check_two(first: str, second: str) -> None:
+    """Raise InputError for a front of one metric."""
+    if first == second:
+        raise InputError(f"front: {first!r} stands twice, expected two metrics")

@@ -15,6 +15,7 @@ from hardware.formatting import number
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 from twin.sweep.dataset import column, gain, half_width
+from twin.sweep.names import check_two
 from twin.sweep.sensitivity import Share
 
 if TYPE_CHECKING:
@@ -71,7 +72,10 @@ def _median(values: "xarray.DataArray", over: Sequence[Hashable]) -> "xarray.Dat
 
 
 def plot_front(data: "xarray.Dataset", first: str, second: str, *, void: bool = False) -> Figure:
-    """All points in the plane of two metrics, and those that no other point beats in both."""
+    """All points in the plane of two metrics, and those that no other point beats in both. Raises
+    InputError for the same metric twice.
+    """
+    check_two(first, second)
     columns = [column(data, name, void=void) for name in (first, second)]
     one, two = (values.to_numpy().ravel() for values in columns)
     front = pareto_front(np.stack([gain(each).to_numpy().ravel() for each in columns]))

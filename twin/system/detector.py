@@ -167,7 +167,9 @@ class Readout(Strict):
     adc_bits: Sourced[Annotated[int, Field(strict=True, ge=1, le=31)]]
     """Bits of the converter."""
     adc_full_scale_v: Sourced[Positive]
-    """Voltage of the converter's highest code."""
+    """Range of the converter from code 0 on: 2^adc_bits steps of adc_full_scale_v / 2^adc_bits. The
+    highest code, 2^adc_bits - 1, is one step below it.
+    """
     adc_offset_v: Sourced[NonNegative]
     """Voltage at the converter without any light, so that noise is not cut off at zero."""
 
@@ -175,6 +177,15 @@ class Readout(Strict):
     def _is_one_amplifier(self) -> "Readout":
         if (self.transimpedance_ohm is None) == (self.feedback_capacitance_f is None):
             raise InputError("needs either transimpedance_ohm or feedback_capacitance_f")
+        return self
+
+    @model_validator(mode="after")
+    def _only_a_capacitance_has_a_well(self) -> "Readout":
+        if self.full_well_e is not None and self.feedback_capacitance_f is None:
+            raise InputError(
+                f"full_well_e = {self.full_well_e.value:g}: a transimpedance amplifier has no "
+                "well, expected feedback_capacitance_f beside it, or no full_well_e"
+            )
         return self
 
     @model_validator(mode="after")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from types import NoneType
-from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import (
@@ -38,7 +38,26 @@ Words = Annotated[str, Field(pattern=r"\S")]
 Name = Annotated[str, Field(pattern=r"^[\w .,+()-]{1,80}$")]
 
 
-class Strict(BaseModel):
+if TYPE_CHECKING:
+    _Model = BaseModel
+else:
+
+    class _Told(type(BaseModel)):
+        """Makes entries whose faults, where Python code makes one itself, are told in one line.
+        What is read from a file is validated without a call, and tells the file as well.
+        """
+
+        def __call__(cls, *args: Any, **fields: Any) -> Any:
+            try:
+                return super().__call__(*args, **fields)
+            except ValidationError as error:
+                raise InputError(f"{_label(cls)}: {describe(error, cls, fields)}") from error
+
+    class _Model(BaseModel, metaclass=_Told):
+        pass
+
+
+class Strict(_Model):
     """Frozen, and an unknown field is an error. A number may be text with a unit of the dimension
     that the end of its field's name says (`hardware.units`): ``"200 um"`` for ``width_m``.
 
@@ -142,7 +161,11 @@ class Strict(BaseModel):
 
 def label(entry: BaseModel) -> str:
     """What it is called in messages: a system, a radar, a waveform; a value with its source."""
-    return type(entry).__name__.partition("[")[0].removesuffix("Design").lower()
+    return _label(type(entry))
+
+
+def _label(kind: type) -> str:
+    return kind.__name__.partition("[")[0].removesuffix("Design").lower()
 
 
 def plain(value: Any) -> Any:
