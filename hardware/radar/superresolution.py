@@ -21,6 +21,7 @@ from hardware.waveform import OfdmWaveform
 Array = NDArray[np.float64]
 
 _CLOSEST = 0.3  # cells
+_BESIDE, _MOST_BESIDE = 8.0, 4  # cells, and number, of other echoes that are fitted with an echo
 
 
 def resolve(
@@ -51,7 +52,8 @@ def resolve(
     at_most
         Largest number of targets.
     others
-        Echoes elsewhere, whose side lobes are fitted as well.
+        Echoes elsewhere, whose side lobes are fitted as well; the nearest ones with their places,
+        which they were measured at beside this echo.
 
     Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
     model, which is 60 dB and more below a target because of single precision and the blocks.
@@ -59,24 +61,26 @@ def resolve(
     place = np.array([echo.delay_s]), np.array([echo.delay_rate])
     (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
     reached = reach, max(reach / 3, 1.0)
-    fixed = _steps_of(others, blocks)
+    beside, fixed = _nearest(_steps_of(others, blocks))
     known = unit_echoes(blocks, fixed)
-    rest = blocks.sums - _fit_amplitudes(known, blocks.sums)[1]
+    every = np.concatenate([unit_echoes(blocks, beside), known])
+    rest = blocks.sums - _fit_amplitudes(every, blocks.sums)[1]
     steps = np.zeros((0, 2))
     amplitudes = np.zeros((0, len(blocks.sums)), dtype=np.complex128)
     while len(steps) < at_most:
         power, step = _strongest(rest, blocks, reached)
         if power * len(rest) <= noise_w * _threshold(false_alarm, len(rest)):
             break
-        candidate = _least_squares_fit(np.vstack([steps, step]), blocks, known)
+        fitted = _least_squares_fit(np.vstack([steps, step, beside]), blocks, known)
+        candidate = fitted[: len(steps) + 1]
         if (
-            _closest(np.vstack([candidate, fixed])) < _CLOSEST
+            _closest(np.vstack([fitted, fixed])) < _CLOSEST
             or np.abs(candidate[:, 0]).max() > reach + 1
         ):
             break
-        steps = candidate
+        steps, beside = candidate, fitted[len(candidate) :]
         every, explained = _fit_amplitudes(
-            np.concatenate([unit_echoes(blocks, steps), known]), blocks.sums
+            np.concatenate([unit_echoes(blocks, fitted), known]), blocks.sums
         )
         amplitudes, rest = every[: len(steps)], blocks.sums - explained
     noise = ChannelNoise.white(len(blocks.sums), noise_w)
@@ -117,6 +121,14 @@ def _steps_of(others: Sequence[EchoMeasurement], blocks: Blocks) -> Array:
     rate = np.array([echo.delay_rate for echo in others])
     off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
     return np.nan_to_num(off / blocks.grid.cell)  # NaN is not measured
+
+
+def _nearest(steps: Array) -> tuple[Array, Array]:
+    """Of echoes at steps (n, 2) those that are fitted with their places, and the others."""
+    away = np.abs(steps).max(axis=1)
+    order = np.argsort(away, kind="stable")
+    count = min(int(np.count_nonzero(away <= _BESIDE)), _MOST_BESIDE)
+    return steps[order[:count]], steps[order[count:]]
 
 
 def _closest(steps: Array) -> float:

@@ -71,7 +71,7 @@ def test_rates_just_beyond_the_ambiguity_are_told_from_slow_ones(
     were asked for.
     """
     seen = process(
-        cube(WIDE, [Echo((12.0, 0, 0), 1e-10, (rate, 0, 0))], noise_w=1e-11),
+        cube(WIDE, [Echo((6.0, 0, 0), 1e-10, (rate, 0, 0))], noise_w=1e-11),
         0,
         Processing(fastest_m_per_s=fastest),
     ).detections[0]
@@ -81,7 +81,7 @@ def test_rates_just_beyond_the_ambiguity_are_told_from_slow_ones(
 def test_a_rate_measured_across_the_ambiguitys_edge_is_the_slow_one() -> None:
     """With nothing faster to be told from, a rate stays within the unambiguous ones."""
     for rate in np.linspace(-24.28, -24.1, 5):
-        record = cube(WIDE, [Echo((12.0, 0, 0), 1e-10, (float(rate), 0, 0))], noise_w=1e-11)
+        record = cube(WIDE, [Echo((6.0, 0, 0), 1e-10, (float(rate), 0, 0))], noise_w=1e-11)
         seen = process(record, 0, Processing(fastest_m_per_s=20.0)).detections[0]
         assert abs(seen.range_rate_m_per_s) <= WIDE.max_velocity_m_per_s
         assert seen.range_rate_m_per_s == pytest.approx(rate, abs=0.1)

@@ -364,6 +364,26 @@ def test_turns_that_are_none_are_refused() -> None:
     )
 
 
+@pytest.mark.parametrize("cells", [2.5, 3.0, 3.5, 4.0])
+def test_two_alike_echoes_near_each_other_are_within_their_errors(cells: float) -> None:
+    """At 40 dB, 8 seeds: rms over what is stated, of 16 numbers each below 1.6 (1.6e-4 of false
+    alarm). Beside the other one where it had been measured alone it was 20 and more at 3 cells.
+    """
+    apart, off = cells * WIDE.range_cell_m, []
+    for seed in range(8):
+        echoes = [Echo((x, 0, 0), 1e-10, (3.0, 0, 0)) for x in (5.0, 5.0 + apart)]
+        record = cube(WIDE, echoes, noise_w=1e-10, seed=seed)
+        found = sorted(
+            process(record, 0, Processing(resolve=True)).detections, key=lambda d: d.range_m
+        )
+        assert len(found) == 2
+        off += [
+            [(d.range_m - x) / d.range_error_m, (d.power_w - 1e-10) / d.power_error_w]
+            for d, x in zip(found, (5.0, 5.0 + apart), strict=True)
+        ]
+    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.6).all()
+
+
 # Carrier steps.
 
 LEAK = (1e-7, 1.1e-9)
