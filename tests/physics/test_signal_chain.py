@@ -17,7 +17,7 @@ from tests.still import still_yard
 from twin.camera import capture
 from twin.camera.illumination import dark_share, frame_signal, residual_share
 from twin.detector import FrontEnd, expose, noise_budget
-from twin.detector.flicker import by_cell, in_image
+from twin.detector.flicker import FLICKER, by_cell, in_image
 from twin.detector.inverse import inverse_image
 from twin.fidelity import Fidelity
 from twin.optics.passband import passband
@@ -163,6 +163,14 @@ def test_noise_of_cells_holds_what_drifts_over_the_frame(mode: str, order: str) 
     np.testing.assert_allclose(found / told, 1, atol=0.5 if mode == "differential" else 0.11)
     assert np.sqrt(np.mean(found**2) / np.mean(told**2)) == pytest.approx(1, abs=0.02)
     assert np.sqrt(np.mean(told**2)) == pytest.approx(budget.pixel_noise_e(patterns), rel=0.04)
+
+
+def test_a_set_that_measures_no_cell_has_no_noise_that_drifts() -> None:
+    """One pattern, all cells lit."""
+    patterns = PatternSet(8, 8, 1, "sequency", "plain")
+    assert patterns.unmeasured_cells.all()
+    budget = noise_budget(np.zeros(1), 0.0, flickering(0.5))
+    assert in_image(budget, patterns).noise_e[FLICKER] == 0
 
 
 def test_a_filter_before_the_lens_passes_less_at_the_edge_of_the_field(system) -> None:

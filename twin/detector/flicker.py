@@ -50,8 +50,9 @@ def by_cell(budget: NoiseBudget, patterns: Patterns) -> Array:
 
 
 def _of_measured(patterns: Patterns) -> float:
-    """Mean of `flicker_of_cells` over the cells that the set measures."""
-    return float(np.mean(flicker_of_cells(patterns)[~patterns.unmeasured_cells]))
+    """Mean of `flicker_of_cells` over the cells that the set measures; 0 where there are none."""
+    measured = ~patterns.unmeasured_cells
+    return float(np.mean(flicker_of_cells(patterns)[measured])) if measured.any() else 0.0
 
 
 @lru_cache(maxsize=8)
