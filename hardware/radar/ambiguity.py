@@ -179,8 +179,10 @@ def resolve_delay_rates(
     from scipy.special import gammainccinv
 
     fastest = fastest_resolved(waveform, fastest)
+    if waveform.n_slots == 1:  # no rate is measured
+        return list(echoes)
     several = [len(ambiguous_rates(waveform, echo.delay_rate, fastest)) > 1 for echo in echoes]
-    if waveform.n_slots == 1 or not any(several):
+    if not any(several):
         return [_folded(echo, waveform) for echo in echoes]
     delay_s = np.array([echo.delay_s for echo in echoes])
     delay_rate = np.array([echo.delay_rate for echo in echoes])
@@ -228,7 +230,7 @@ def resolve_delay_rates(
 def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
     """An echo at the slowest of its rates, next to which it may have been measured."""
     slowest, *_ = ambiguous_rates(waveform, echo.delay_rate, 0.0)
-    return replace(echo, delay_rate=float(slowest)) if waveform.n_slots > 1 else echo
+    return replace(echo, delay_rate=float(slowest))
 
 
 def _with_likeliest_rate(

@@ -49,9 +49,9 @@ def without_offsets(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Co
     each receiver, the mean over all slots, where it is significant. Raises InputError for a
     receiver whose samples are all the same and not 0.
     """
-    _check_changing(steps)
     if waveform.n_subcarriers < _FEWEST:
         return list(steps)
+    _check_changing(steps)
     direct, _ = _at_quiet_delays(steps, waveform)
     mean = direct.mean(axis=-1)
     rest = np.mean(np.abs(direct - mean[..., None]) ** 2, axis=-1) / direct.shape[-1]
