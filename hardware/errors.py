@@ -6,6 +6,7 @@ of a library among them, is a fault of the software itself.
 
 import math
 from numbers import Integral, Real
+from typing import Any
 
 
 class HardwareError(Exception):
@@ -24,9 +25,14 @@ def check_kind(name: str, value: object, kind: type, given_by: str) -> None:
         )
 
 
-def check_count(name: str, value: object, least: int = 1) -> None:
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number by its kind, Python's or NumPy's."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def check_count(name: str, value: Any, least: int = 1) -> None:
     """Raise InputError unless an argument is a whole number from ``least`` on."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+    if not is_whole(value) or value < least:
         raise InputError(f"{name}: {value!r:.60}, expected a whole number from {least} on")
 
 

@@ -16,8 +16,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
-from hardware.patterns.interface import Mode, Patterns, check_grid, check_whole
+from hardware.errors import InputError, is_whole
+from hardware.patterns.interface import Mode, Patterns, check_grid
 from hardware.patterns.orders import ORDERS, ordered_indices, shown_indices
 from hardware.patterns.own import OwnPatterns, own_patterns
 from hardware.patterns.raster import RasterScan
@@ -95,9 +95,10 @@ class PatternSet(Patterns):
 
     def __post_init__(self) -> None:
         check_grid(self.rows, self.columns)
-        check_whole("count", self.count)
-        if not 1 <= self.count <= self.n_cells:
-            raise InputError(f"count: {self.count} is not between 1 and {self.n_cells}")
+        if not is_whole(self.count) or not 1 <= self.count <= self.n_cells:
+            raise InputError(
+                f"count: {self.count!r:.60} is not a whole number between 1 and {self.n_cells}"
+            )
         if self.order not in get_args(Order):
             raise InputError(f"order: {self.order!r} is none of {', '.join(get_args(Order))}")
         if self.mode not in get_args(Mode):

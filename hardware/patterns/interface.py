@@ -6,7 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, is_whole
 
 Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"]
 
@@ -14,18 +14,11 @@ Mode = Literal["differential", "plain", "reference", "s-matrix", "complementary"
 MOST_CELLS = 2**26
 
 
-def check_whole(name: str, value: object) -> None:
-    """Raise InputError unless a value is a whole number by its kind, Python's or NumPy's."""
-    if not isinstance(value, int | np.integer):
-        raise InputError(f"{name}: {value!r:.60}, expected a whole number")
-
-
 def check_grid(rows: int, columns: int) -> None:
     """Raise InputError unless both are powers of two, of no more cells than are believed."""
     for name, size in (("rows", rows), ("columns", columns)):
-        check_whole(name, size)
-        if size < 1 or size & (size - 1):
-            raise InputError(f"{name}: {size} is not a power of two")
+        if not is_whole(size) or size < 1 or size & (size - 1):
+            raise InputError(f"{name}: {size!r:.60} is not a power of two")
     if rows * columns > MOST_CELLS:
         raise InputError(f"rows, columns: {rows} x {columns} cells, at most {MOST_CELLS} are known")
 

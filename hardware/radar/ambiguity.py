@@ -228,7 +228,9 @@ def resolve_delay_rates(
 
 
 def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
-    """An echo at the slowest of its rates, next to which it may have been measured."""
+    """An echo with the slowest of the rates of its Doppler shift: near the edge of the ambiguity it
+    may have been measured beyond it.
+    """
     slowest, *_ = ambiguous_rates(waveform, echo.delay_rate, 0.0)
     return replace(echo, delay_rate=float(slowest))
 

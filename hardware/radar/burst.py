@@ -11,7 +11,7 @@ from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import Complex, Precision, complex_samples, demodulate_samples
 from hardware.radar.integrity import usable_part
 from hardware.radar.phase_noise import leakage_snr, with_steady_phase, without_phase_noise
-from hardware.radar.quadrature import without_images, without_offsets
+from hardware.radar.quadrature import without_faults
 from hardware.radar.stitching import range_per_rate_s, stitch
 from hardware.waveform import OfdmWaveform
 
@@ -115,7 +115,7 @@ def demodulate(
     leakage_s = record.front_end.leakage_delay_s
     own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
     samples = [complex_samples(record.iq[burst, step, : part.n_slots], precision) for step in steps]
-    samples = without_images(without_offsets(samples, wave), wave)
+    samples = without_faults(samples, wave)
     leakage_warnings: tuple[str, ...] = ()
     seen = True
     motion = relative_noise = mode = None

@@ -21,47 +21,38 @@ from hardware.radar.demodulation import Complex
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
+#: By receiver, step and delay, (n_receivers, n_steps, n_delays).
+ByDelay = NDArray[np.complex128]
+
 _CERTAIN = 6.0  # standard errors above which an image or an offset is significant
 _FEWEST = 8  # subcarriers, with which anything is told
 _DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
 
 
-def without_images(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
-    """Samples (n_slots, n_receivers, n_subcarriers) of every carrier step without their images.
+def without_faults(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
+    """Samples (n_slots, n_receivers, n_subcarriers) of every carrier step without the offset of
+    each receiver and its images, where these are significant.
 
-    Receivers without a significant image are not changed. Raises InputError for a receiver whose I
-    and Q depend on each other.
+    Raises InputError for a receiver whose I and Q depend on each other, or whose samples are all
+    the same and not 0.
     """
-    ratios = image_ratios(steps, waveform)
+    if waveform.n_subcarriers < _FEWEST:
+        return list(steps)
+    _check_changing(steps)
+    direct, image = at_quiet_delays(steps, waveform)
+    offset, ratios = _offsets(direct, waveform), image_ratios(direct, image)
     if (worst := float(np.abs(ratios).max())) > _DEPENDENT:
         raise InputError(
             f"receiver {int(np.abs(ratios).argmax())}: the image is {worst:.3g} times the signal, "
             "expected far less: I and Q depend on each other, as where a branch is dead"
         )
+    if offset.any():
+        shifts = offset.T[..., None].astype(steps[0].dtype)
+        steps = [step - shift for step, shift in zip(steps, shifts, strict=True)]
     if not ratios.any():
         return list(steps)
     b = ratios.astype(steps[0].dtype)[:, None]
     return [np.asarray((step - b * step.conj()) / (1 - np.abs(b) ** 2)) for step in steps]
-
-
-def without_offsets(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
-    """Samples (n_slots, n_receivers, n_subcarriers) of every carrier step without the offset of
-    each receiver, the mean over all slots, where it is significant. Raises InputError for a
-    receiver whose samples are all the same and not 0.
-    """
-    if waveform.n_subcarriers < _FEWEST:
-        return list(steps)
-    _check_changing(steps)
-    direct, _ = _at_quiet_delays(steps, waveform)
-    mean = direct.mean(axis=-1)
-    rest = np.mean(np.abs(direct - mean[..., None]) ** 2, axis=-1) / direct.shape[-1]
-    offset = np.where(np.abs(mean) ** 2 > _CERTAIN**2 * rest, mean / _sent_back(waveform)[0], 0)
-    if not offset.any():
-        return list(steps)
-    return [
-        step - of_step.astype(step.dtype)[:, None]
-        for step, of_step in zip(steps, offset.T, strict=True)
-    ]
 
 
 def _check_changing(steps: Sequence[Complex]) -> None:
@@ -75,15 +66,21 @@ def _check_changing(steps: Sequence[Complex]) -> None:
             )
 
 
-def image_ratios(steps: Sequence[Complex], waveform: OfdmWaveform) -> NDArray[np.complex128]:
-    """Amplitude of the image over the conjugate of the signal, (n_receivers,); 0 where it is not
-    significant. Only static echoes are used, by means over slots.
+def _offsets(direct: ByDelay, waveform: OfdmWaveform) -> NDArray[np.complex128]:
+    """Of each receiver in each step, (n_receivers, n_steps); 0 where it is not significant."""
+    mean = direct.mean(axis=-1)
+    rest = np.mean(np.abs(direct - mean[..., None]) ** 2, axis=-1) / direct.shape[-1]
+    is_certain = np.abs(mean) ** 2 > _CERTAIN**2 * rest
+    return np.where(is_certain, mean / _sent_back(waveform)[0], 0)
+
+
+def image_ratios(direct: ByDelay, image: ByDelay) -> NDArray[np.complex128]:
+    """Amplitude of the image over the conjugate of the signal, (n_receivers,), in all steps
+    together, given both as of `at_quiet_delays`; 0 where it is not significant.
     """
-    if waveform.n_subcarriers < _FEWEST:
-        return np.zeros(steps[0].shape[1], dtype=np.complex128)
     direct, image = (
         (part - part.mean(axis=-1, keepdims=True)).reshape(len(part), -1)
-        for part in _at_quiet_delays(steps, waveform)
+        for part in (direct, image)
     )
     power = np.maximum(np.sum(np.abs(image) ** 2, axis=1), 1e-300)
     b = np.sum(image.conj() * direct, axis=1) / power
@@ -91,11 +88,9 @@ def image_ratios(steps: Sequence[Complex], waveform: OfdmWaveform) -> NDArray[np
     return np.asarray(np.where(np.abs(b) ** 2 > _CERTAIN**2 * rest / power, b, 0))
 
 
-def _at_quiet_delays(
-    steps: Sequence[Complex], waveform: OfdmWaveform
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """The mean over slots and its conjugate, (n_receivers, n_steps, n_delays) each, at the half of
-    all delays with less energy over all steps and receivers.
+def at_quiet_delays(steps: Sequence[Complex], waveform: OfdmWaveform) -> tuple[ByDelay, ByDelay]:
+    """The mean over slots and its conjugate at the half of all delays with less energy over all
+    steps and receivers: of static echoes.
     """
     still = np.stack([step.mean(axis=0) for step in steps], axis=1).astype(np.complex128)
     sent_back = _sent_back(waveform)

@@ -52,8 +52,8 @@ def resolve(
     at_most
         Largest number of targets.
     others
-        Echoes elsewhere, whose side lobes are fitted as well; the nearest ones with their places,
-        which they were measured at beside this echo.
+        Echoes elsewhere, whose side lobes are fitted as well; of the nearest ones also the places,
+        which were measured in the side lobes of this echo.
 
     Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
     model, which is 60 dB and more below a target because of single precision and the blocks.

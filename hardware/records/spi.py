@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.described import Described
-from hardware.errors import InputError
+from hardware.errors import InputError, is_whole
 from hardware.patterns import Patterns, PatternSet, RasterScan
 from hardware.patterns.from_record import patterns_from_record
 from hardware.records import container
@@ -86,7 +86,7 @@ class SpiRecord(Described):
                 "for each image"
             )
         container.check_whole_numbers(self, *_BY_EXPOSURE)
-        if not isinstance(self.adc_bits, int | np.integer) or not 1 <= self.adc_bits <= 31:
+        if not is_whole(self.adc_bits) or not 1 <= self.adc_bits <= 31:
             raise InputError(
                 f"adc_bits: {self.adc_bits!r:.60} is not a whole number between 1 and 31"
             )

@@ -19,7 +19,7 @@ from hardware.radar.demodulation import complex_samples
 from hardware.radar.k_distribution import fit, survival
 from hardware.radar.phase_noise import phase_noise
 from hardware.radar.process import Processing, process
-from hardware.radar.quadrature import image_ratios
+from hardware.radar.quadrature import at_quiet_delays, image_ratios
 from hardware.radar.whitening import whiten
 from hardware.radar.windows import noise_gain
 from hardware.waveform import OfdmWaveform
@@ -301,8 +301,10 @@ def test_the_image_of_unlike_branches_is_found(gain_db: float, phase_deg: float)
     g, angle = 10 ** (gain_db / 20), np.radians(phase_deg)
     y = x.real + 1j * g * (np.cos(angle) * x.imag + np.sin(angle) * x.real)
     turn = g * np.exp(-1j * angle)
-    assert image_ratios(list(y), STEP)[0] == pytest.approx((1 - turn) / (1 + turn), rel=0.02)
-    assert image_ratios(list(x), STEP)[0] == 0
+    assert image_ratios(*at_quiet_delays(list(y), STEP))[0] == pytest.approx(
+        (1 - turn) / (1 + turn), rel=0.02
+    )
+    assert image_ratios(*at_quiet_delays(list(x), STEP))[0] == 0
 
 
 def test_steps_without_leakage_are_joined_as_they_are_and_said_to_be() -> None:
@@ -395,7 +397,7 @@ def test_an_offset_of_the_converters_changes_no_echo(offset: int) -> None:
     assert got.power_w == pytest.approx(due.power_w, rel=1e-3)
     assert got.range_m == pytest.approx(due.range_m, abs=0.1 * due.range_error_m)
     x = complex_samples(shifted.iq[0])
-    assert image_ratios(list(x), WIDE)[0] == 0
+    assert image_ratios(*at_quiet_delays(list(x), WIDE))[0] == 0
 
 
 @pytest.mark.parametrize(
