@@ -184,10 +184,10 @@ class _SystemBudget:
 
     @property
     def _seen_share(self) -> float:
-        """Of the lit cells, those in a square field; of another outline all."""
-        if self.lens.outline == "disc":
+        """Of the lit cells, those in a square field; of another outline all (`left_out`)."""
+        if self.lens.outline == "disc" or not self.system.emitter.has_lens:
             return 1.0
-        return min(self.lens.tan_half_field / lit_tan(self.system), 1.0) ** 2 or 1.0
+        return min(self.lens.tan_half_field / lit_tan(self.system), 1.0) ** 2
 
     def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Mean of the brightest exposure, all cells lit, over the converter's range, or over the

@@ -13,7 +13,7 @@ from twin.budget.link import (
     noise_e,
 )
 from twin.files import InputError
-from twin.optics.radiometry import cell_centres, lit_tan
+from twin.optics.radiometry import cell_centres, lit_share
 from twin.optics.solar_irradiance import sun_in_band
 from twin.optics.spectra import in_band_fraction, responsivity_a_per_w
 from twin.system import Part, Photodetector, System
@@ -78,21 +78,8 @@ def link_of(
         dark_current_a=detector.dark_current_a.value,
         sun_w_per_m2=sun,
         shot_variance=detector.multiplication * detector.excess_noise,
-        lit_share=_lit_share(system),
+        lit_share=lit_share(system),
     )
-
-
-def _lit_share(system: System) -> float:
-    """Of the detector's field, what the emitter lights, both on one axis."""
-    half, lit = np.tan(np.radians(system.optics.field_of_view_deg.value / 2)), lit_tan(system)
-    if lit >= half:
-        return 1.0
-    if system.has_square_field:
-        return float(lit / half) ** 2
-    # The disc may cut the square's corners.
-    across = (np.arange(1000) + 0.5) / 1000 * lit
-    up = np.minimum(lit, np.sqrt(half**2 - across**2))
-    return float(4 * lit * up.mean() / (np.pi * half**2))
 
 
 def _responsivity(system: System, part: Part) -> float:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from hardware.patterns import RasterScan
 from hardware.reconstruction.gating import bounds, echo
 from twin.camera.chain import Chain, Powers
-from twin.detector import FrontEnd
+from twin.detector import NoiseBudget
 from twin.detector.flicker import by_cell
 
 Array = NDArray[np.float64]
@@ -25,13 +25,8 @@ def cells_noise_e(chain: Chain, power: Powers, signal_w: Array) -> Array:
     patterns, n_shutters = chain.patterns, len(chain.shutters)
     if not isinstance(patterns, RasterScan):
         budgets = chain.noise_by_detector(signal_w, power.sun_w)
-        is_own = not isinstance(chain.front_end, FrontEnd)
-        by_shutter = np.array(
-            [
-                budget.cells_noise_e(patterns) if is_own else by_cell(budget, patterns)
-                for budget in budgets
-            ]
-        )
+        of_cells = NoiseBudget.cells_noise_e if chain.has_own_detector else by_cell
+        by_shutter = np.array([of_cells(budget, patterns) for budget in budgets])
         return np.asarray(np.sqrt(n_shutters) * by_shutter)
     if chain.system.time_of_flight is not None and chain.system.time_of_flight.gate_delays_s:
         return echo_noise(chain, power)[0][None]

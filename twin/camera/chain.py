@@ -271,8 +271,12 @@ class Chain:
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
         budget = self.front_end.noise_budget(signal_w, sun_w, relative)
-        is_own = not isinstance(self.front_end, FrontEnd)
-        return budget if is_own else in_image(budget, self.patterns)
+        return budget if self.has_own_detector else in_image(budget, self.patterns)
+
+    @property
+    def has_own_detector(self) -> bool:
+        """Whether the detector is a user's own, whose budget is taken as it is."""
+        return not isinstance(self.front_end, FrontEnd)
 
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.

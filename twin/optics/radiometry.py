@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twin.files import InputError
 from twin.system import System
 
+Array = NDArray[np.float64]
 Outline = Literal["square", "disc"]
 FAR = 100.0  # radii of the pupil
 
@@ -89,6 +90,22 @@ def lit_tan(system: System) -> float:
     return math.tan(math.radians(system.emitter.field_of_view_deg.value) / 2)
 
 
+def lit_share(system: System) -> float:
+    """Of the detector's field, what the emitter lights, both on one axis."""
+    half, lit = math.tan(math.radians(system.optics.field_of_view_deg.value) / 2), lit_tan(system)
+    if lit >= half:
+        return 1.0
+    if system.has_square_field:
+        return (lit / half) ** 2
+    node, weight = np.polynomial.legendre.leggauss(64)
+    return float(weight @ _within_disc(half, lit, lit * node)) * 2 * lit / (math.pi * half**2)
+
+
+def _within_disc(radius: float, half: float, across: Array) -> Array:
+    """Half the height of what a disc leaves of a square, at places across it (n, ...)."""
+    return np.minimum(half, np.sqrt(np.maximum(radius**2 - across**2, 0)))
+
+
 def wall_power_w(
     system: System, reflectance: float, distance_m: float, baseline_m: float = 0.0
 ) -> float:
@@ -112,9 +129,7 @@ def wall_power_w(
         if low >= high:
             return 0.0
         x = ((low + high) / 2 + (high - low) / 2 * node)[:, None]
-        up = np.full_like(x, min(lit, t))
-        if lens.outline == "disc":
-            up = np.minimum(up, np.sqrt(np.maximum(t**2 - x**2, 0)))
+        up = _within_disc(t, lit, x) if lens.outline == "disc" else np.full_like(x, min(lit, t))
         y = up * node
         from_emitter = 1 + x**2 + y**2
         to_detector = 1 + (x - shift) ** 2 + y**2

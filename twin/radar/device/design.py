@@ -197,7 +197,7 @@ class RadarDesign(Entry):
             *band_warnings(self.ofdm, self.burst.carriers_hz, self.band),
             *range_warnings(self.ofdm, farthest_m),
             *rate_warnings(self.ofdm, self.channel_waveform, fastest_m_per_s),
-            *step_warnings(self.burst, fastest_m_per_s),
+            *step_warnings(self.burst, self.range_cell_m, fastest_m_per_s),
             *antenna_warnings(self.antenna),
         ]
 

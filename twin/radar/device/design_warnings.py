@@ -81,11 +81,14 @@ def rate_warnings(
         )
 
 
-def step_warnings(burst: Burst, fastest_m_per_s: float) -> Iterator[CaptureWarning]:
-    """Of the fastest target's range rate, which shifts its range where the carrier is stepped."""
+def step_warnings(
+    burst: Burst, range_cell_m: float, fastest_m_per_s: float
+) -> Iterator[CaptureWarning]:
+    """Of the fastest target's range rate, which shifts its range where the carrier is stepped;
+    ``range_cell_m``: of all steps together.
+    """
     shift_m = abs(range_per_rate_s(burst.carriers_hz, burst.step_times_s)) * fastest_m_per_s
-    cell_m = burst.waveform.range_cell_m / len(burst.carriers_hz)
-    if shift_m > _SHIFT * cell_m:
+    if shift_m > _SHIFT * range_cell_m:
         yield CaptureWarning(
             "ambiguous",
             f"steps: at {fastest_m_per_s:.2f} m/s carrier steps one after the other shift an "
