@@ -8,10 +8,8 @@ integrals by numbers, and Sionna RT's uniform theory of diffraction.
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from scipy.special import erf, erfc, fresnel, jv
 
-from benchmarks.kirchhoff import echo_behind
 from benchmarks.screens_in_depth import field_behind
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
@@ -22,75 +20,32 @@ from tests.physics.radar_worlds import (
     cross_section_db,
     ground,
     paths_of,
-    plate,
-    quad,
-    reshaped,
     thing,
     wave,
     world,
 )
-from twin.fidelity import DEFAULT, PRESETS, Fidelity
-from twin.radar.propagation.diffraction import behind_obstacles
-from twin.radar.propagation.diffraction.blocking import first_hit
+from tests.physics.shadow_worlds import (
+    BEND,
+    DEEP,
+    K,
+    box,
+    decibels,
+    echo,
+    found,
+    pattern,
+    point,
+    rectangle,
+    screen,
+)
+from twin.fidelity import PRESETS, Fidelity
 from twin.radar.propagation.diffraction.knife_edge import (
     double_knife_edge,
     knife_edge_factor,
     missing_edge_bound,
     missing_edge_factor,
 )
-from twin.radar.propagation.prepared_scene import prepare_scene
-from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
-from twin.scene import Pose, Rig, Scene, SceneObject, Target
-
-DEEP = OPTICS.with_(radar_shadow_db=60.0)
-K = 2 * np.pi / WAVELENGTH_M
-#: Of a screen 6 m off and a target 10 m off: phase over height squared.
-BEND = K / 2 * (1 / 6 + 1 / 4)
-
-Array = NDArray[np.float64]
-
-
-def point(place=(10.0, 0.0, 0.0), **more) -> Target:
-    return Target("point", place, more.get("velocity", (0.0, 0.0, 0.0)), 1.0, "test")
-
-
-def rectangle(name: str, y: tuple[float, float], z: tuple[float, float], x: float = 6.0, **more):
-    corners = [[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]]
-    return quad(name, corners, radar="obstacle", **more)
-
-
-def screen(height: float, **more) -> SceneObject:
-    """Half a plane 6 m off, up to a height over the line of sight."""
-    return rectangle("screen", (-50, 50), (-50, height), **more)
-
-
-def box(low, high, **more) -> SceneObject:
-    mesh = trimesh.creation.box(bounds=[low, high])
-    return thing("box", mesh.vertices, mesh.faces, radar="obstacle", **more)
-
-
-def found(*objects: SceneObject, at: Target | None = None, fidelity: Fidelity = DEEP, **more):
-    scene = world(*objects, targets=(at or point(),), **more)
-    return paths_of(trace(scene, RADAR, fidelity=fidelity))
-
-
-def echo(*objects: SceneObject, frequency_hz: float = CARRIER_HZ, **more) -> complex:
-    """Of a point target, over what it is without the obstacles."""
-    at = more.get("at")
-    with_them = wave(found(*objects, **more), frequency_hz)
-    return with_them / wave(found(at=at), frequency_hz)
-
-
-def pattern(height: float, distance: float = 6.0) -> float:
-    """The antenna's gain towards an edge over that on boresight, amplitude there and back."""
-    way = np.array([[distance, 0, height], [1, 0, 0]])
-    gain = RADAR.antenna.gain(way / np.linalg.norm(way, axis=1, keepdims=True))
-    return float(gain[0] / gain[1])
-
-
-def decibels(value: complex) -> float:
-    return float(20 * np.log10(max(abs(value), 1e-12)))
+from twin.scene import Pose, Rig, SceneObject
 
 
 @pytest.mark.parametrize("height", [-0.2, -0.05, -0.02, 0.0, 0.03, 0.1])
@@ -352,144 +307,6 @@ def test_an_edge_that_moves_changes_the_way_over_it() -> None:
     assert now.delay_rate[0] == pytest.approx((later.delay_s - now.delay_s)[0] / 1e-3, rel=0.02)
 
 
-BODIES = DEEP.with_(radar_shadowed=2000)
-
-
-def body_echo(item: SceneObject, *obstacles: SceneObject, **more) -> complex:
-    """Of a scattering mesh, over what it is without the obstacles."""
-    fidelity = more.pop("fidelity", BODIES)
-    hidden, free = (
-        trace(world(*obstacles[:n], item, **more), RADAR, fidelity=fidelity)
-        for n in (len(obstacles), 0)
-    )
-    return wave(hidden.echoes) / wave(free.echoes)
-
-
-@pytest.mark.parametrize("height", [-0.05, 0.0, 0.03, 0.1])
-def test_a_plate_behind_a_screen_answers_over_its_edge(height: float) -> None:
-    """8 cm wide: every point of it by its own knife edge, there and back, summed as the plate's own
-    echo is. -21.2 dB 3 cm past the line of sight, -44.7 dB 10 cm; silence without.
-    """
-    y = ((np.arange(200) + 0.5) / 200 - 0.5) * 0.08
-    own = np.exp(-2j * K * (np.hypot(np.hypot(10, y[:, None]), y) - 10))
-    past = (erfc(np.sqrt(1j * BEND) * (height - 0.6 * y[:, None])) / 2) ** 2
-    due = np.sum(past * own) / np.sum(own)
-    fine = BODIES.with_(radar_tolerance=0.01)
-    got = body_echo(plate("plate", (10, 0, 0), 0.08), screen(height), fidelity=fine)
-    assert decibels(got / pattern(height)) == pytest.approx(decibels(due), abs=0.15)
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 10.0, 35.0])
-@pytest.mark.parametrize("edge_m", [-0.03, 0.0])
-def test_a_box_behind_a_screen_is_kirchhoffs_integral(turn_deg: float, edge_m: float) -> None:
-    """The screen's upright edge halves the box, or leaves all of it in the light; the truth is the
-    field of the whole rim on 10 000 triangles. Beside the echo of a face at right angles, since the
-    box answers by its edges where it is turned.
-    """
-    mesh = trimesh.creation.box((0.05, 0.06, 0.05))
-    square = np.array(mesh.vertices) + [5.0, 0.0, 0.0]
-    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(turn_deg), [0, 0.3, 1]))
-    body = thing("box", mesh.vertices + [5.0, 0.0, 0.0], mesh.faces, radar="optics")
-    screen = rectangle("screen", (-0.3, edge_m), (-0.2, 0.25), x=3.0)
-    frequency_hz = CARRIER_HZ + 1.5e9
-    k, gain = K * frequency_hz / CARRIER_HZ, RADAR.antenna.gain
-    hidden = echo_behind(body, [screen.vertices_m], k, gain)
-    free = echo_behind(body, [], k, gain).whole
-    facing = abs(echo_behind(reshaped(body, square), [], k, gain).whole)
-    fine = BODIES.with_(radar_tolerance=0.02)
-    behind, alone = (
-        wave(trace(world(*objects), RADAR, fidelity=fine).echoes, frequency_hz)
-        for objects in ((screen, body), (body,))
-    )
-    error = abs(behind / alone * free - hidden.whole)
-    assert error < 0.05 * abs(hidden.whole - hidden.lit) + 0.0008 * facing
-
-
-@pytest.mark.parametrize("height", [-0.3, -0.05, 0.03])
-def test_what_comes_round_an_obstacle_is_decided_by_a_bound(height: float) -> None:
-    """By default a plate in the light, at the border and in the shadow is what its own knife edge
-    makes of it, to within what is told of it; and the decision says what it adds at most.
-    """
-    y = ((np.arange(200) + 0.5) / 200 - 0.5) * 0.08
-    own = np.exp(-2j * K * (np.hypot(np.hypot(10, y[:, None]), y) - 10))
-    direct = np.where(height - 0.6 * y < 0, 1.0, 0.0)[:, None]
-    past = (erfc(np.sqrt(1j * BEND) * (height - 0.6 * y[:, None])) / 2) ** 2
-    free = trace(world(plate("plate", (10, 0, 0), 0.08)), RADAR, fidelity=DEFAULT)
-    found = trace(world(screen(height), plate("plate", (10, 0, 0), 0.08)), RADAR, fidelity=DEFAULT)
-    due, hard = (np.sum(field * own) / np.sum(own) for field in (past, direct))
-    (body,) = found.bodies
-    level = body.level_amplitude / free.bodies[0].amplitude
-    got = wave(found.surfaces) / wave(free.surfaces)
-    assert abs(got - due) < body.estimated_error * level
-    assert body.estimated_error < 0.6
-    effect = "waves diffracted round obstacles"
-    (taken,) = (d for d in found.decisions if d.effect.startswith(effect))
-    assert taken.taken
-    assert taken.bound * level > abs(due - hard)
-    assert not any("is left out, and in no stated error" in text for text in found.assumptions)
-
-
-def _turned_plate(share: float) -> tuple[SceneObject, Array, Array]:
-    """A plate 10 m off, turned towards an edge 60 cm below the line of sight by a share of the
-    angle between both ways; the field past that edge along it, and the phasors of the echo.
-    """
-    turn = share * np.arctan2(0.6, 4.0)
-    sine, cosine = np.sin(turn), np.cos(turn)
-    flat = plate("plate", (0, 0, 0), 0.08)
-    turned = flat.vertices_m @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]]).T
-    s = ((np.arange(2000) + 0.5) / 2000 - 0.5) * 0.08
-    x, z = 10 + s * sine, s * cosine
-    past = erfc(-np.sqrt(1j * BEND) * (0.6 + 0.6 * z)) / 2
-    body = thing("plate", turned + np.array([10.0, 0, 0]), flat.geometry.faces)
-    return body, past, np.exp(-2j * K * (np.hypot(x, z) - 10))
-
-
-def _behind(scene: Scene, free: Scene) -> tuple[complex, float, float, int]:
-    """Echo of a scene's only body over the free one, its stated error, the level that this is
-    relative to over the free one's, and the number of contributions.
-    """
-    found, alone = (trace(each, RADAR, fidelity=DEFAULT) for each in (scene, free))
-    (told,) = found.bodies
-    level = told.level_amplitude / alone.bodies[0].amplitude
-    echo = wave(found.surfaces) / wave(alone.surfaces)
-    return echo, told.estimated_error, level, len(found.contributions)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5])
-def test_waves_too_faint_to_follow_are_told(share: float) -> None:
-    """The edge is 60 cm off, 32 dB down. A plate turned halfway towards it reflects that wave at
-    right angles and the straight one aside: 5 % of its echo is missing, 0.3 % if it is not turned,
-    and that is stated.
-    """
-    body, past, own = _turned_plate(share)
-    got, told, level, _ = _behind(world(screen(-0.6), body), world(body))
-    due = np.sum(past**2 * own) / np.sum(own)
-    assert abs(got - due) < told * level
-    assert told * level < 6 * abs(got - due)
-
-
-def test_faint_waves_are_not_followed_beside_strong_ones(monkeypatch) -> None:
-    """An edge 5 cm above the plate's middle, and one 60 cm below: what cells are off by for the
-    near one is more than the far one's wave. The slit's field has both edges' waves.
-    """
-    body, past, own = _turned_plate(0.3)
-    near = rectangle("near", (-50, 50), (0.05, 50))
-    z = np.linspace(*body.vertices_m[[0, 2], 2], 2000)
-    past = past - erfc(np.sqrt(1j * BEND) * (0.05 - 0.6 * z)) / 2
-    due = np.sum(past**2 * own) / np.sum(own)
-
-    def traced() -> tuple[int, float]:
-        got, told, level, count = _behind(world(screen(-0.6), near, body), world(body))
-        assert abs(got - due) < told * level
-        return count, told
-
-    fewer, told = traced()
-    monkeypatch.setattr(behind_obstacles, "_OF_OTHERS", 0.0)
-    more, told_with_them = traced()
-    assert fewer < more
-    assert told < 1.3 * told_with_them
-
-
 def test_what_a_missing_edge_is_at_most() -> None:
     """Over all phases; far from the end no more than 1.6 times what it is."""
     rng = np.random.default_rng(1)
@@ -498,46 +315,6 @@ def test_what_a_missing_edge_is_at_most() -> None:
     matters = value > 1e-12
     assert np.all(value[matters] <= bound[matters])
     assert np.all(bound[matters & (p > 10)] < 1.6 * value[matters & (p > 10)])
-
-
-def test_no_rays_meet_nothing() -> None:
-    """Where finer cells change too little to count none are left, and none are sent."""
-    scene = world(plate("plate", (10, 0, 0)))
-    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
-    none = np.zeros((0, 3))
-    found = first_hit(prepare_scene(scene, RADAR, roles, 0), none, none, np.zeros(3))
-    assert found.shape == (0,)
-
-
-def test_far_from_every_edge_nothing_comes_round() -> None:
-    """The bound says so, without a ray: 20 m beside the way, 0.4 % at most, both sides."""
-    post = box([5, 20, -3], [5.2, 20.2, 3])
-    found = trace(world(post, plate("plate", (10, 0, 0), 0.08)), RADAR, fidelity=DEFAULT)
-    (decision,) = (d for d in found.decisions if "round obstacles" in d.effect)
-    assert not decision.taken
-    assert 0 < decision.bound < decision.permitted
-
-
-def test_a_body_behind_a_screen_is_silent_without_its_facets() -> None:
-    """The knob at 0 leaves geometrical shadows."""
-    hidden = plate("plate", (10, 0, 0), 0.08)
-    scene = world(screen(0.1), hidden)
-    for count, is_heard in ((0, False), (2000, True)):
-        found = trace(scene, RADAR, fidelity=DEEP.with_(radar_shadowed=count))
-        assert bool(found.heard) is is_heard
-    assert PRESETS["reference"].radar_shadowed > 0
-
-
-def test_a_pedestrian_behind_a_parked_car_is_heard_over_it() -> None:
-    """A ball of 30 cm whose top is 6 cm below the line of sight over a box of 1.8 m: heard 25 to 50
-    dB below its free echo, by what the knife edges over both sides of the box's top let through.
-    """
-    parked = box([4.1, -2.2, -1.2], [5.9, 2.2, 0.1])
-    head = ball("head", (10, 0, -0.05), 0.15, 4)
-    got = decibels(body_echo(head, parked))
-    one = echo(parked, at=point((9.85, 0, -0.05)))  # where the ball's highlight is
-    assert -60 < got < -20
-    assert got == pytest.approx(decibels(one), abs=3)
 
 
 def sommerfeld(rho: float, off_rad: float, is_soft: bool) -> complex:
