@@ -5,8 +5,8 @@ tracing. Both the first time, and when one object has moved; from rays to echoes
 of one thread, each scene in a process of its own that ends after a quarter of an hour. In cities of
 Sionna RT, one of them with a car, a made one, and a terrain.
 `python -m benchmarks.large_scenes munich` measures one scene by default, and with `standard` behind
-it under that preset: a city, `munich-car`, `boxes`, or the number of points along a side of the
-terrain.
+it under that preset: a city, `munich-car`, `boxes`, `posts`, or the number of points along a side
+of the terrain.
 """
 
 import importlib.util
@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.stated_errors.radar_cases import hundreds_of_posts
 from benchmarks.timing import Figure, timed
 from hardware.radar.process import process
 from twin.engine import mitsuba, sionna
@@ -58,6 +59,7 @@ def figures() -> Iterator[Figure]:
     yield from _levels("munich with a car", "munich-car")
     yield from _of("10 000 boxes", _boxes(10_000))
     yield from _levels("10 000 boxes", "boxes")
+    yield from _levels("200 posts", "posts")
     for side in _TERRAIN:
         yield from _apart(f"{2 * (side - 1) ** 2:.2g} triangles", str(side))
 
@@ -199,7 +201,7 @@ def _measured(name: str, level: str = "default") -> Iterator[Figure]:
         scene = load_scene(_bundled(city))
         scene = _with_car(scene) if car else scene
     else:
-        scene = _boxes(10_000) if name == "boxes" else _terrain(int(name))
+        scene = _made(name)
     radar = load_radar("hybrid-79")
     fidelity = {"default": DEFAULT, **PRESETS}[level]
     earlier = None
@@ -221,6 +223,15 @@ def _measured(name: str, level: str = "default") -> Iterator[Figure]:
         yield f"memory at most, until {when}", peak / 1e9, "GB"
         scene = _moved(scene, "car" if car else None, 0.1)
         earlier = found if keep else None
+
+
+def _made(name: str) -> Scene:
+    if name == "boxes":
+        return _boxes(10_000)
+    if name == "posts":  # 200, many in the shadow of others
+        wavelength_m = load_radar("hybrid-79").ofdm.wavelength_m
+        return hundreds_of_posts(np.random.default_rng(5), wavelength_m)
+    return _terrain(int(name))
 
 
 if __name__ == "__main__":
