@@ -95,7 +95,7 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
         ("[emitter]\nrows = 60", r"rows: 60 is not a power of two"),
         (
             "[acquisition]\nn_patterns = 5000",
-            r"acquisition\.n_patterns: 5000 is not between 1 and 4096",
+            r"acquisition\.n_patterns: 5000 is not a whole number between 1 and 4096",
         ),
         ("[acquisition]\nn_patterns = 0", r"acquisition\.n_patterns\.value = 0"),
         ("[acquisition]\norder = 'random'", r"acquisition\.order.*'random'"),
