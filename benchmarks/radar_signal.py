@@ -12,7 +12,7 @@ from twin.engine import sionna
 from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.device.burst import burst_channel
-from twin.radar.synthesis import Contributions, synthesize
+from twin.radar.synthesis import Contributions, demodulated, synthesize
 from twin.scene import Pose, Rig, Scene, Sun, Target
 
 _ECHOES = 100_000
@@ -45,6 +45,8 @@ def _beside_sionna() -> Iterator[Figure]:
         echoes = _echoes(rate)
         ours[name] = timed(lambda e=echoes: synthesize(e, wave, 1e-5), runs=15)
         yield f"1e5 echoes, 4096 x 64, 1e-5, {name}", ours[name], ""
+        within = timed(lambda e=echoes: demodulated(e, wave, 1e-5), runs=15)
+        yield f"1e5 echoes, 4096 x 64, 1e-5, {name}, with Doppler within symbols", within, ""
     theirs = _sionna(_echoes(cases["a tenth a car at 5 m/s"]), wave)
     yield "Sionna's Paths.cfr, the same echoes and bins", theirs, ""
     for name, mine in ours.items():

@@ -23,7 +23,7 @@ class EchoMeasurement:
     them and the window; in white noise, without a window, they are the Cramer-Rao bounds. Values
     not measured are NaN: the rate
     from a single slot, the delay from a single subcarrier. ``delay_rate_alternatives``: other rates
-    that the record cannot exclude, likeliest first.
+    that the record cannot exclude, likeliest first. ``window``: with which it was measured.
     """
 
     delay_s: float
@@ -36,6 +36,7 @@ class EchoMeasurement:
     amplitude: NDArray[np.complex128]
     noise: ChannelNoise
     delay_rate_alternatives: tuple[float, ...] = ()
+    window: str = "boxcar"
 
     @property
     def delay_or_rate_error(self) -> float:
@@ -74,6 +75,7 @@ def echo_measurement(
         power_error_w=noise.power_error_w(amplitude),
         amplitude=amplitude,
         noise=noise,
+        window=window,
     )
 
 

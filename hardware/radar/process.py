@@ -27,6 +27,7 @@ from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import noise_gain
+from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 if TYPE_CHECKING:
@@ -314,7 +315,7 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
     """
     echo = with_noise_of_its_cell(echo, interval)
     if not np.any(extents(virtual_array(interval))[1:] > 0):
-        return [Detection.of(echo)]
+        return [Detection.of(without_doppler_within_symbols(echo, interval.waveform))]
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
     bearing = direction(echo.amplitude, interval, rates, echo.noise)
@@ -324,7 +325,7 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
         delay_rate_alternatives=bearing.delay_rate_alternatives,
     )
     point = replace(
-        Detection.of(echo),
+        Detection.of(without_doppler_within_symbols(echo, interval.waveform)),
         azimuth_rad=bearing.azimuth_rad,
         azimuth_error_rad=bearing.azimuth_error_rad,
         elevation_rad=bearing.elevation_rad,

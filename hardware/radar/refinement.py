@@ -34,7 +34,8 @@ _CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
 
 @dataclass(frozen=True, eq=False)
 class BlockGrid:
-    """Blocks of subcarriers and slots: mean frequencies ``f_hz`` (n_f,), mean times ``t_s`` (n_t,).
+    """Blocks of subcarriers and slots: mean frequencies ``f_hz`` (n_f,), mean times ``t_s`` (n_t,),
+    by the window's weights; ``middle_t_s`` (n_t,): mean times without them.
 
     ``count_f``, ``count_t``: number of subcarriers and slots of each block; ``taper_f``,
     ``taper_t``: mean of the window over it. ``cell``: of delay (s) and of delay rate (s/s).
@@ -42,6 +43,7 @@ class BlockGrid:
 
     f_hz: Array
     t_s: Array
+    middle_t_s: Array
     count_f: NDArray[np.intp]
     count_t: NDArray[np.intp]
     taper_f: Array
@@ -62,10 +64,13 @@ class BlockGrid:
 
     def phasor(self, steps: Array) -> NDArray[np.complex128]:
         """exp(j phase) (..., n_f, n_t) of offsets in cells of delay and rate (..., 2)."""
-        rates = steps[..., 1] * self.cell[1]
         along_f = np.exp(1j * steps[..., :1] * self.by_delay)
-        along_t = np.exp(2j * np.pi * self.carrier_hz * rates[..., None] * self.t_s)
-        return self.migration(rates, along_f, along_t)
+        # Whole turns per slot are the same for all slots of a block, whatever their weights.
+        n_slots = self.count_t.sum()
+        folded = n_slots * np.rint(steps[..., 1:] / n_slots)
+        moved_s = folded * self.middle_t_s + (steps[..., 1:] - folded) * self.t_s
+        along_t = np.exp(2j * np.pi * self.carrier_hz * self.cell[1] * moved_s)
+        return self.migration(steps[..., 1] * self.cell[1], along_f, along_t)
 
     def migration(
         self,
@@ -167,16 +172,17 @@ def blocks_about(
     along_t = _phasors(waveform.carrier_hz * rate, t) * (windows[1] / m)
     # Slots first: the channel comes transposed, its subcarriers contiguous.
     parts = channel.reshape(-1, n, m).swapaxes(1, 2)
-    edges_f, f_mean = _edges(f, at_most)
-    edges_t, t_mean = _edges(t, at_most)
+    edges_f, edges_t = _edges(n, at_most), _edges(m, at_most)
     along_f = along_f.astype(channel.dtype)
-    sums = np.empty((len(parts), len(f_mean), len(t_mean), len(delay)), dtype=np.complex128)
+    shape = len(parts), len(edges_f) - 1, len(edges_t) - 1, len(delay)
+    sums = np.empty(shape, dtype=np.complex128)
     for i, (start, stop) in enumerate(pairwise(edges_f)):
         by_slot = (parts[..., start:stop] @ along_f[:, start:stop].T) * along_t.T
         sums[:, i] = np.add.reduceat(by_slot, edges_t[:-1], axis=1)
     grid = BlockGrid(
-        f_mean,
-        t_mean,
+        _means(f, edges_f, windows[0]),
+        _means(t, edges_t, windows[1]),
+        _means(t, edges_t, np.ones(m)),
         np.diff(edges_f),
         np.diff(edges_t),
         np.add.reduceat(windows[0], edges_f[:-1]) / np.diff(edges_f),
@@ -198,10 +204,16 @@ def _phasors(cycles: Array, axis: Array) -> NDArray[np.complex128]:
     return (coarse[:, :, None] * fine[:, None]).reshape(len(cycles), -1)[:, : len(axis)]
 
 
-def _edges(axis: Array, at_most: int) -> tuple[NDArray[np.intp], Array]:
-    """Bounds of at most ``at_most`` blocks (n_blocks + 1,), and the blocks' means."""
-    edges = np.unique(np.linspace(0, len(axis), min(at_most, len(axis)) + 1).astype(np.intp))
-    return edges, np.add.reduceat(axis, edges[:-1]) / np.diff(edges)
+def _edges(n: int, at_most: int) -> NDArray[np.intp]:
+    """Bounds of at most ``at_most`` blocks of n samples, (n_blocks + 1,)."""
+    return np.unique(np.linspace(0, n, min(at_most, n) + 1).astype(np.intp))
+
+
+def _means(axis: Array, edges: NDArray[np.intp], window: Array) -> Array:
+    """Mean of each block by the weights of its samples: that at which its sum has no phase."""
+    weight = np.add.reduceat(window, edges[:-1])
+    mean = np.add.reduceat(axis * window, edges[:-1]) / np.where(weight, weight, 1.0)
+    return np.asarray(np.clip(mean, axis[edges[:-1]], axis[edges[1:] - 1]))
 
 
 def peak_offsets(about: Sequence[Blocks]) -> Array:

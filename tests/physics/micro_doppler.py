@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from hardware.waveform import OfdmWaveform
+
 Place = Callable[[mpmath.mpf], mpmath.matrix]
 
 mpmath.mp.dps = 30
@@ -67,3 +69,21 @@ def two_way(
     cycles = [2 * r / mpmath.mpf(speed_of_light) for r in distances_m(one, radar, times_s)]
     turns = [[float(mpmath.frac(mpmath.mpf(float(f)) * c)) for c in cycles] for f in frequencies_hz]
     return np.exp(-2j * np.pi * np.array(turns))
+
+
+def demodulated(
+    one: Place, radar: Place, rates_m_per_s: NDArray[np.float64], wave: OfdmWaveform
+) -> NDArray[np.complex128]:
+    """What is found of a point by division by the sent symbols, (n_subcarriers, n_slots): within
+    each symbol it goes on at the slot's range rate.
+    """
+    distances = np.array([float(r) for r in distances_m(one, radar, wave.slot_times_s)])
+    frequencies = wave.carrier_hz + wave.frequency_offsets_hz
+    channel = np.exp(-4j * np.pi * np.outer(frequencies, distances) / speed_of_light)
+    n = wave.n_subcarriers
+    doppler_hz = -2 * rates_m_per_s * wave.carrier_hz / speed_of_light
+    turns = np.outer(np.arange(n) - (n - 1) / 2, doppler_hz) / wave.bandwidth_hz
+    sent = wave.sent()[:, None]
+    samples = np.fft.ifft(np.fft.ifftshift(sent * channel, axes=0), axis=0)
+    samples *= np.exp(2j * np.pi * turns)
+    return np.fft.fftshift(np.fft.fft(samples, axis=0), axes=0) * sent.conj()

@@ -60,13 +60,12 @@ def test_a_rotor(rate: float) -> None:
     assert on_interval(found)[0].count("taken") == 1
     received = channel(found, RADAR, Atmosphere())[0, :, 0].T[ROWS]
     place = exact.on_rotor((10, 0, 0), (0, 0.2, 0), rate)
-    frequency = CARRIER_HZ + WAVE.frequency_offsets_hz[ROWS]
-    phase = exact.two_way(place, STILL, WAVE.slot_times_s, frequency)
     angle = rate * WAVE.slot_times_s
     velocity = 0.2 * rate * np.stack([-np.cos(angle), -np.sin(angle)])
     towards = np.stack([10 - 0.2 * np.sin(angle), 0.2 * np.cos(angle)])
     length = np.linalg.norm(towards, axis=0)
     speed = np.sum(velocity * towards, axis=0) / length
+    phase = exact.demodulated(place, STILL, speed, WAVE)[ROWS]
     sideways = np.arctan2(towards[1], towards[0])
     level = RADAR.antenna.gain(np.stack([np.cos(sideways), np.sin(sideways), 0 * angle], axis=1))
     level = level * WAVE.slot_gain(2 * speed / WAVE.wavelength_m) / length**2

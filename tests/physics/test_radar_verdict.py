@@ -12,6 +12,7 @@ from hardware.radar import Detection, OfdmWaveform
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.radar import load_radar, radar_capture
+from twin.radar.device.design_warnings import rate_warnings
 from twin.radar.evaluation import evaluate_radar, further_echoes, match_detections, write_detections
 from twin.radar.truth import TrueTarget, _nearest
 from twin.report.radar_summary import radar_summary
@@ -93,3 +94,11 @@ def test_missed_targets_are_listed_with_what_was_to_be_expected(evaluation, tmp_
     header, row = (tmp_path / "detections.csv").read_text().splitlines()
     assert header.endswith("target,further_echo_of")
     assert row.endswith(",,plate")
+
+
+def test_long_symbols_of_fast_targets_are_warned_of() -> None:
+    """At 40 m/s subcarriers 400 kHz apart leak by pi eps / sqrt(3), eps = 0.0527: -20 dB."""
+    wave = replace(WAVE, n_subcarriers=1024, subcarrier_spacing_hz=400e3, repeats=1)
+    (told,) = [str(one) for one in rate_warnings(wave, wave, 40.0) if "subcarriers" in str(one)]
+    assert "at 40.0 m/s -20 dB of an echo leak" in told
+    assert not [one for one in rate_warnings(wave, wave, 20.0) if "subcarriers" in str(one)]

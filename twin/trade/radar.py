@@ -21,7 +21,7 @@ from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of, trace
-from twin.radar.synthesis import Contributions, direct_sum, synthesize
+from twin.radar.synthesis import Contributions, demodulated, direct_sum, synthesize
 from twin.scene import Scene
 from twin.trade.bodies import Bodies, errors_of, reference_bodies
 from twin.trade.measurement import RADAR_KNOBS, Cost, LevelMeasurement
@@ -133,8 +133,9 @@ def _measure_level(
     wave = radar.channel_waveform
     echoes = _echoes(propagation, radar)
     tolerance = level.nufft_tolerance
-    cost, channels = measure_cost(lambda run: synthesize(echoes, wave, tolerance)[_sampled(bins)])
-    off = np.abs(channels[0] - bins.channel)
+    cost, _ = measure_cost(lambda run: demodulated(echoes, wave, tolerance)[_sampled(bins)])
+    # What is compared is the channel in the middle of each slot, whose every bin stands for itself.
+    off = np.abs(synthesize(echoes, wave, tolerance)[_sampled(bins)] - bins.channel)
     rms = float(np.sqrt(np.mean(off**2)))
     relative = rms / bins.rms
     known = [name for name, value in PRESETS.items() if _same(value, level)]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S, OfdmWaveform
-from twin.radar.synthesis import Array, Complex, Contributions, synthesize
+from twin.radar.synthesis import Array, Complex, Contributions, demodulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,8 @@ class Burst:
 
 
 def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) -> Complex:
-    """Channel of all echoes, ``(n_steps, n_slots, n_receivers, n_subcarriers)``.
+    """Channel of all echoes, ``(n_steps, n_slots, n_receivers, n_subcarriers)``, as it is found
+    by division by the sent symbols.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) 
     burst
         When, where and at which frequencies it is sampled.
     tolerance
-        As of `synthesize`.
+        As of `demodulated`.
     """
     wave = burst.waveform
     shape = (len(burst.carriers_hz), wave.n_slots, len(burst.receivers_m), wave.n_subcarriers)
@@ -98,7 +99,7 @@ def burst_channel(echoes: Contributions, burst: Burst, tolerance: float = 1e-6) 
             there, sent = burst.slots(transmitter), burst.waveform_of(step, transmitter)
             for receiver in range(shape[2]):
                 seen = burst.seen(echoes, step, transmitter, receiver)
-                synthesize(seen, sent, tolerance, out=channel[step, there, receiver].T)
+                demodulated(seen, sent, tolerance, out=channel[step, there, receiver].T)
     return channel
 
 

@@ -16,6 +16,7 @@ from twin.warned import CaptureWarning
 Array = NDArray[np.float64]
 
 _MIGRATION_DB = 10.0  # that an echo loses by moving through range cells, from which it is told
+_LEAKAGE_DB = -25.0  # of an echo, to other subcarriers by Doppler, from which it is told
 _SHIFT = 0.1  # of a range cell, by which steps may shift a moving echo
 _MAX_EFFICIENCY = 1.05  # gain of a pattern, averaged over the sphere, from which it is warned of
 
@@ -71,6 +72,14 @@ def rate_warnings(
             f"slot: averaging {wave.repeats} repeats loses {loss_db:.1f} dB at "
             f"{fastest_m_per_s:.1f} m/s ({_slot_loss_db(wave, 0.5 / wave.slot_period_s):.1f} dB "
             "at the edge)",
+        )
+    # Root mean square of the turn over a symbol, in the first order of the Doppler shift.
+    turn = np.pi / math.sqrt(3) * doppler_hz * wave.symbol_s
+    if (leakage_db := 20 * math.log10(max(turn, 1e-15))) > _LEAKAGE_DB:
+        yield CaptureWarning(
+            "design",
+            f"subcarriers: at {fastest_m_per_s:.1f} m/s {min(leakage_db, 0):.0f} dB of an echo "
+            "leak from each to others by Doppler within a symbol: noise, or a shift in range",
         )
     migration_db = -20 * np.log10(channel.migration_gain(fastest_m_per_s))
     if migration_db > _MIGRATION_DB:

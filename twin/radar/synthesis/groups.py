@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import OfdmWaveform
 from twin.radar.synthesis.contributions import Array, Contributions
-from twin.radar.synthesis.times import times_of
+from twin.radar.synthesis.times import chebyshev_times
 
 Indices = NDArray[np.intp]
 
@@ -45,7 +45,7 @@ class Group:
 
 
 def groups_of(
-    contributions: Contributions, waveform: OfdmWaveform, tolerance: float
+    contributions: Contributions, waveform: OfdmWaveform, tolerance: float, times_s: Array
 ) -> list[Group]:
     """One group at rest, and groups of what moves, divided so that the whole costs least."""
     moving = contributions.moving
@@ -53,24 +53,29 @@ def groups_of(
     if len(in_motion) < len(moving):
         all_groups.append(Group(np.flatnonzero(~moving), 0.0, 0.0, np.zeros(1)))
     if len(in_motion):
-        divisions = _divisions(contributions, in_motion, waveform, tolerance)
-        all_groups += min(divisions, key=lambda groups: _work(groups, waveform))
+        divisions = _divisions(contributions, in_motion, waveform, tolerance, times_s)
+        size = waveform.n_subcarriers, len(times_s)
+        all_groups += min(divisions, key=lambda groups: _work(groups, *size))
     return all_groups
 
 
-def _work(groups: Iterable[Group], waveform: OfdmWaveform) -> float:
+def _work(groups: Iterable[Group], n_subcarriers: int, n_times: int) -> float:
     """Cost of groups, in units of one contribution at one time."""
-    n, cells = waveform.n_subcarriers, waveform.n_subcarriers * waveform.n_slots
+    cells = n_subcarriers * n_times
     work = 0.0
     for group in groups:
         count = len(group.times_s)
-        work += count * (len(group.members) + n)
-        work += count * cells / _CELLS if count < waveform.n_slots else cells / _SUMMED_CELLS
+        work += count * (len(group.members) + n_subcarriers)
+        work += count * cells / _CELLS if count < n_times else cells / _SUMMED_CELLS
     return work
 
 
 def _divisions(
-    contributions: Contributions, in_motion: Indices, waveform: OfdmWaveform, tolerance: float
+    contributions: Contributions,
+    in_motion: Indices,
+    waveform: OfdmWaveform,
+    tolerance: float,
+    times_s: Array,
 ) -> Iterator[list[Group]]:
     """Divisions by rate into groups, one for each candidate spread; the widest is a single
     group.
@@ -78,7 +83,7 @@ def _divisions(
     order = in_motion[np.argsort(contributions.delay_rate[in_motion], kind="stable")]
     rates = contributions.delay_rate[order]
     accelerations = contributions.delay_acceleration_per_s[order]
-    latest = float(np.abs(waveform.slot_times_s).max())
+    latest = float(np.abs(times_s).max())
     top = waveform.carrier_hz + waveform.bandwidth_hz / 2
     beside = BLOCK / 2 * waveform.subcarrier_spacing_hz
     for spread in _SPREADS_RAD:
@@ -95,7 +100,9 @@ def _divisions(
             acceleration, half = _middle(low, high)
             linear = 2 * np.pi * latest * (top * half_rate + beside * abs(rate))
             square = np.pi * latest**2 * (top * half + beside * abs(acceleration))
-            times = times_of(linear, square, waveform, tolerance)
+            times = chebyshev_times(linear, square, latest, tolerance, len(times_s))
+            if len(times) == len(times_s):
+                times = times_s  # nothing is left to interpolate
             groups.append(Group(order[start:stop], rate, acceleration, times))
         yield groups
 

@@ -2,35 +2,33 @@
 
 import numpy as np
 
-from hardware.waveform import OfdmWaveform
 from twin.radar.synthesis.contributions import Array
 
 
-def times_of(
-    linear_rad: float, square_rad: float, waveform: OfdmWaveform, tolerance: float
+def chebyshev_times(
+    linear_rad: float, square_rad: float, end_s: float, tolerance: float, at_most: int
 ) -> Array:
-    """Times from which a phase that is linear and quadratic in time is interpolated to a tolerance.
+    """Times from which a phase that is linear and quadratic in time is interpolated to a tolerance;
+    ``at_most`` of them, if it takes more.
 
-    ``linear_rad`` and ``square_rad`` are both terms at the interval's end, counted from its middle.
+    ``linear_rad`` and ``square_rad`` are both terms at the interval's end ``end_s``, counted from
+    its middle.
 
     Chebyshev's points. Interpolated from K of them, exp(j a x) is off by at most 4 J_K(a) on
     average, and J_K(a) <= (a / 2)^K / K! (Trefethen, Approximation Theory and Practice, 2013, ch.
     4). As x^2 = (1 + T_2(x)) / 2, the error of exp(j (a x + b x^2)) is bounded by the coefficient
-    of z^K in exp(a z / 2 + b z^2 / 4). If that takes as many times as there are slots: the slots
-    themselves.
+    of z^K in exp(a z / 2 + b z^2 / 4).
     """
     # Coefficients of z^(count - 1), z^count and z^(count + 1).
     count, last, rest = 1, 1.0, linear_rad / 2
     following = (linear_rad / 2 * rest + square_rad / 2 * last) / 2
-    # Negated, so that an overflow, even to NaN, takes all slots.
-    while not 4 * max(rest, following) <= tolerance / 4 and count < waveform.n_slots:
+    # Negated, so that an overflow, even to NaN, takes the most.
+    while not 4 * max(rest, following) <= tolerance / 4 and count < at_most:
         count += 1
         last, rest = rest, following
         following = (linear_rad / 2 * rest + square_rad / 2 * last) / (count + 1)
-    if count == waveform.n_slots:
-        return waveform.slot_times_s
     nodes: Array = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    return nodes * np.abs(waveform.slot_times_s).max()
+    return nodes * end_s
 
 
 def interpolation(times: Array, wanted: Array) -> Array:
