@@ -145,14 +145,15 @@ def rate_evidence(blocks: Blocks, delay_rates: Array, noise_w: float) -> RateEvi
     cells = across @ still @ along  # by rate that is tried, channel, delay and rate
     power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=1, dtype=np.float64))
     flat = power.reshape(len(power), -1)
-    # Remains of stronger echoes over all these cells count as noise.
+    # Remains of stronger echoes over all these cells count as noise: that of the rate which leaves
+    # the least of them, for all rates, since a few cells tell it to some 10 % alone.
     middle = flat.shape[1] // 2
     least = max(noise_w, np.finfo(float).tiny)
-    noise = np.maximum(np.partition(flat, middle, axis=1)[:, middle] / len(sums), least)[:, None]
+    noise = max(least, float(np.partition(flat, middle, axis=1)[:, middle].min()) / len(sums))
     at = flat.argmax(axis=1)
     highest_w = flat.max(axis=1, keepdims=True)
     spread = np.log(np.sum(np.exp((flat - highest_w) / noise), axis=1))
-    rows = np.maximum(power / noise[..., None] - len(sums), 0).sum(axis=1)
+    rows = np.maximum(power / noise - len(sums), 0).sum(axis=1)
     step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
     return RateEvidence(delay_rates, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
 
@@ -342,9 +343,16 @@ def _subtract_echoes(blocks: Blocks, others: Sequence[EchoMeasurement], noise_w:
 
 
 def _is_explained(blocks: Blocks, echo: EchoMeasurement, others: Sequence[EchoMeasurement]) -> bool:
-    """Whether most of an echo disappears when others are subtracted."""
-    left = echo_amplitudes(_subtract_echoes(blocks, others, 0.0), np.array(_steps(echo, blocks)))
-    return bool(np.mean(np.abs(left) ** 2) < 0.25 * echo.power_w)
+    """Whether most of an echo disappears when others are subtracted.
+
+    Compared with what the blocks hold of it: measured with a window, a smeared echo has more power.
+    """
+    step = np.array(_steps(echo, blocks))
+    whole, left = (
+        np.mean(np.abs(echo_amplitudes(some, step)) ** 2)
+        for some in (blocks, _subtract_echoes(blocks, others, 0.0))
+    )
+    return bool(left < 0.25 * whole)
 
 
 def _steps(echo: EchoMeasurement, blocks: Blocks) -> tuple[float, float]:
