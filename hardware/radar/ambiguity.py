@@ -40,6 +40,7 @@ from hardware.radar.refinement import (
     residual_cells,
     unit_echoes,
 )
+from hardware.radar.within_symbols import leakage_of
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -277,6 +278,7 @@ def _measure_at(
     )
     blocks = _subtract_echoes(blocks, others, noise_w)
     (step,) = peak_offsets([blocks])
+    around = residual_cells(blocks, step, leakage=leakage_of(blocks, step, waveform, noise_w))
     return echo_measurement(
         blocks,
         step,
@@ -284,7 +286,7 @@ def _measure_at(
         waveform,
         noise_w,
         "boxcar",
-        ChannelNoise.of_cells(residual_cells(blocks, step), noise_w),
+        ChannelNoise.of_cells(around, noise_w),
     )
 
 

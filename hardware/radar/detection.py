@@ -28,6 +28,7 @@ from hardware.radar.refinement import (
 )
 from hardware.radar.sensitivity import side_lobe, weak_echoes
 from hardware.radar.windows import frequency_variance, normalised_window
+from hardware.radar.within_symbols import leakage_of
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -205,7 +206,8 @@ def _strong_measurements(
     worse = frequency_variance(normalised_window(window, size)) / frequency_variance(np.ones(size))
     echoes, crowded = [], []
     for i, (about, step) in enumerate(zip(blocks, peak_offsets(blocks), strict=True)):
-        around = residual_cells(about, step)
+        leakage = leakage_of(about, step, waveform, noise_w[0])
+        around = residual_cells(about, step, leakage=leakage)
         noise = ChannelNoise.of_cells(around, noise_w[0])
         echoes.append(_measurement(about, step, waveform, noise_w[0], "boxcar", noise))
         if residual_power(around) >= worse * peaks.noise_w[i]:

@@ -287,17 +287,32 @@ def _newton(grid: BlockGrid, sums: NDArray[np.complex128], steps: Array) -> Arra
 
 def echo_amplitudes(blocks: Blocks, step: Array) -> NDArray[np.complex128]:
     """Amplitude on every channel (n_channels,), in root watts, at cells from the middle."""
-    return np.asarray(np.sum(blocks.sums * blocks.grid.phasor(step), axis=(1, 2)))
+    along_f, along_t = block_responses(blocks, step[None])
+    whole = np.sum(blocks.sums * blocks.grid.phasor(step), axis=(1, 2))
+    return np.asarray(whole / (along_f.sum() * along_t.sum()))
 
 
 def block_responses(blocks: Blocks, steps: Array) -> tuple[Array, Array]:
     """Response of each block to targets of unit amplitude, with the loss by phase change within the
     block: (n_targets, n_f) and (n_targets, n_t); their product is the response to a target.
+
+    The phase changes by what a target is away from the blocks' middle, and by its migration: over a
+    block's slots in proportion to frequency, over its subcarriers in proportion to time.
     """
     grid = blocks.grid
+    rates = blocks.delay_rate + steps[:, 1:] * grid.cell[1]
+    spacing_hz = 1 / (grid.count_f.sum() * grid.cell[0])
+    period_s = 1 / (grid.count_t.sum() * grid.cell[1] * grid.carrier_hz)
     along_f = grid.taper_f * _block_mean(grid.count_f, steps[:, :1])
     along_t = grid.taper_t * _block_mean(grid.count_t, steps[:, 1:])
+    along_f = along_f * _mean_of_tone(grid.count_t.mean(), rates * grid.f_hz * period_s)
+    along_t = along_t * _mean_of_tone(grid.count_f.mean(), rates * grid.t_s * spacing_hz)
     return along_f, along_t
+
+
+def _mean_of_tone(count: float, cycles: Array) -> Array:
+    """Mean over ``count`` samples of a tone of so many cycles per sample, far fewer than a half."""
+    return np.asarray(np.sinc(count * cycles) / np.sinc(cycles))
 
 
 def _block_mean(counts: NDArray[np.intp], steps: Array) -> Array:
@@ -326,16 +341,27 @@ def unit_echoes(blocks: Blocks, steps: Array) -> NDArray[np.complex128]:
 
 
 def residual_cells(
-    blocks: Blocks, step: Array, reach: int = AROUND, *, follow: bool = True
+    blocks: Blocks,
+    step: Array,
+    reach: int = AROUND,
+    *,
+    follow: bool = True,
+    leakage: NDArray[np.complex128] | None = None,
 ) -> NDArray[np.complex128]:
     """Amplitudes (n_channels, n_cells) of the cells around a target after its subtraction: noise
     and other echoes, up to ``reach`` cells to each side.
 
     ``follow``: every channel has a delay and a rate of its own, as where antennas are a part of a
-    range cell apart. What the subtraction takes from white noise is given back in the mean.
+    range cell apart. ``leakage`` (n_subcarriers,): what subcarriers hold of the target beside its
+    echo, over the echo. What the subtraction takes from white noise is given back in the mean.
     """
     places = step + np.array([[0.0, 0.0], [_APART, 0.0], [0.0, _APART]])[: 3 if follow else 1]
     atoms = unit_echoes(blocks, places).reshape(len(places), -1)
+    if leakage is not None:
+        starts = np.cumsum(blocks.grid.count_f) - blocks.grid.count_f
+        by_block = np.add.reduceat(leakage, starts) / blocks.grid.count_f
+        leaked = atoms[0].reshape(len(by_block), -1) * by_block[:, None]
+        atoms = np.vstack([atoms, leaked.reshape(1, -1)])
     values, vectors = np.linalg.eigh(atoms.conj() @ atoms.T)
     some = values > _ALIKE * values[-1]  # along an axis of one sample all places are the same
     basis = (atoms.T @ vectors[:, some] / np.sqrt(values[some])).T

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.measurement import EchoMeasurement
+from hardware.radar.refinement import Blocks, echo_amplitudes
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 _NEGLIGIBLE = 0.02  # of the delay's standard error
+_FELT = 0.01  # of a cell's noise, from which what an echo leaks is told from it
 _NEWTON_STEPS = 4
 _LEAST_GAIN = 0.1  # less is no echo that could be measured
 
@@ -40,17 +42,37 @@ def without_doppler_within_symbols(
     )
 
 
+def leakage_of(
+    blocks: Blocks, step: NDArray[np.float64], waveform: OfdmWaveform, noise_w: float
+) -> NDArray[np.complex128] | None:
+    """What an echo at cells (2,) from the middle of blocks leaks to each subcarrier, over the echo,
+    (n_subcarriers,); None where it is nothing beside the noise of a cell.
+    """
+    delay_s, delay_rate = np.array([blocks.delay_s, blocks.delay_rate]) + step * blocks.grid.cell
+    turn = np.pi * delay_rate * waveform.carrier_hz * waveform.symbol_s
+    power_w = float(np.mean(np.abs(echo_amplitudes(blocks, step)) ** 2))
+    if not turn**2 / 3 * power_w > _FELT * noise_w:
+        return None
+    response = leaked_response(waveform, float(delay_s), float(delay_rate))
+    return response / response.mean() - 1
+
+
 def leaked_response(
     waveform: OfdmWaveform, delay_s: float, delay_rate: float
 ) -> NDArray[np.complex128]:
-    """Channel of a moving echo over that of one at rest at the same delay, (n_subcarriers,)."""
+    """Channel of a moving echo over that of one at rest at the same delay, (n_subcarriers,).
+
+    Samples are turned by exp(-2 pi j (fc + f) rate t): exactly at the carrier, by the first term of
+    the series in f, the echo's own way within the symbol.
+    """
     from scipy.fft import fft, fftshift, ifft, ifftshift
 
-    n = waveform.n_subcarriers
-    sent = waveform.sent() * np.exp(-2j * np.pi * waveform.frequency_offsets_hz * delay_s)
-    along_symbol_s = (np.arange(n) - (n - 1) / 2) * waveform.delay_cell_s
-    turned = np.exp(-2j * np.pi * waveform.carrier_hz * delay_rate * along_symbol_s)
-    response: NDArray[np.complex128] = fftshift(fft(ifft(ifftshift(sent)) * turned)) * sent.conj()
+    n, offsets_hz = waveform.n_subcarriers, waveform.frequency_offsets_hz
+    sent = waveform.sent() * np.exp(-2j * np.pi * offsets_hz * delay_s)
+    turn = -2j * np.pi * delay_rate * (np.arange(n) - (n - 1) / 2) * waveform.delay_cell_s
+    samples = ifft(ifftshift(sent)) + turn * ifft(ifftshift(offsets_hz * sent))
+    samples *= np.exp(waveform.carrier_hz * turn)
+    response: NDArray[np.complex128] = fftshift(fft(samples)) * sent.conj()
     return response
 
 
