@@ -65,14 +65,15 @@ def leaked_response(
     Samples are turned by exp(-2 pi j (fc + f) rate t): exactly at the carrier, by the first term of
     the series in f, the echo's own way within the symbol.
     """
-    from scipy.fft import fft, fftshift, ifft, ifftshift
+    from scipy.fft import fft, ifft
 
     n, offsets_hz = waveform.n_subcarriers, waveform.frequency_offsets_hz
     sent = waveform.sent() * np.exp(-2j * np.pi * offsets_hz * delay_s)
     turn = -2j * np.pi * delay_rate * (np.arange(n) - (n - 1) / 2) * waveform.delay_cell_s
-    samples = ifft(ifftshift(sent)) + turn * ifft(ifftshift(offsets_hz * sent))
+    # At an intermediate frequency of half the band, which changes nothing.
+    samples = ifft(sent) + turn * ifft(offsets_hz * sent)
     samples *= np.exp(waveform.carrier_hz * turn)
-    response: NDArray[np.complex128] = fftshift(fft(samples)) * sent.conj()
+    response: NDArray[np.complex128] = fft(samples) * sent.conj()
     return response
 
 

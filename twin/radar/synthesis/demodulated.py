@@ -31,7 +31,7 @@ def demodulated(
     Parameters as of `synthesize`, whose channel it is where nothing moves by more than the
     tolerance within a symbol.
     """
-    from scipy.fft import fft, fftshift
+    from scipy.fft import fft
 
     times_s = _times(contributions, waveform, tolerance)
     if len(times_s) == 1:
@@ -46,7 +46,8 @@ def demodulated(
     for share, there in zip(shares, received, strict=True):
         samples += share * there
     spectrum = fft(samples, axis=-1, overwrite_x=True, workers=-1)
-    out += (fftshift(spectrum, axes=-1) * waveform.sent().conj()).T
+    spectrum *= waveform.sent().conj()
+    out += spectrum.T
     return out
 
 
@@ -54,9 +55,9 @@ def _received(
     contributions: Contributions, waveform: OfdmWaveform, tolerance: float, times_s: Array
 ) -> Iterator[Complex]:
     """Samples (n_slots, n_subcarriers) of each of several times within a symbol, as if all samples
-    were taken then.
+    were taken then; at an intermediate frequency of half the band, which changes no leakage.
     """
-    from scipy.fft import ifft, ifftshift
+    from scipy.fft import ifft
 
     shape = waveform.n_slots, waveform.n_subcarriers
     together = max(1, _MOST_CELLS // (shape[0] * shape[1]))
@@ -64,7 +65,7 @@ def _received(
         some_s = times_s[first : first + together, None] + waveform.slot_times_s
         channel = synthesize(contributions, waveform, tolerance, times_s=some_s.ravel()).T
         channel *= waveform.sent()
-        samples = ifft(ifftshift(channel, axes=-1), axis=-1, overwrite_x=True, workers=-1)
+        samples = ifft(channel, axis=-1, overwrite_x=True, workers=-1)
         yield from samples.reshape(-1, *shape)
 
 
