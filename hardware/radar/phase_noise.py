@@ -28,6 +28,7 @@ from hardware.waveform import OfdmWaveform
 Array = NDArray[np.float64]
 Power = NDArray[np.floating]
 
+_CHANCE = 1e-3  # probability that noise alone counts as changes of phase from slot to slot
 _RARE = 1e-9  # probability per cell that thermal noise alone counts as an echo
 _BEYOND = 8.0  # times the expected power, above which a cell contains an echo
 _LOW = 0.16  # quantile used to estimate the spread of noise
@@ -62,12 +63,14 @@ def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float
 
 def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
     """Samples (n_slots, n_receivers, n_subcarriers) after removal of each slot's common phase, and
-    of its slope within the slot.
+    of its slope within the slot, each where it is more than noise and echoes make of it.
 
     Separate oscillators of transmitter and receiver rotate all paths of a slot by the same phase.
     It is measured on the path at ``delay_s``, with a relative error of one over the root of its
-    SNR; with a shared oscillator it is almost zero. A window excludes echoes a few range cells away
-    from the phase. The part that all slots have in common is not removed.
+    SNR. Noise and moving echoes change the path's amplitude as much as its phase, oscillators its
+    phase alone: where the phases of slots scatter no more than the amplitudes, there is nothing to
+    remove. A window excludes echoes a few range cells away from the phase. The part that all slots
+    have in common is not removed.
     """
     n = waveform.n_subcarriers
     path = (
@@ -80,25 +83,41 @@ def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) 
     turn = share @ level
     if not np.all(turn):
         return samples
-    turn = turn.conj() / np.abs(turn)
+    size = np.abs(turn)
+    is_turned = _scatters_more(np.angle(turn), size / size.mean())
+    turn = turn.conj() / size if is_turned else np.ones_like(turn)
     path = _leak(waveform, delay_s, np.ones(n)).conj().astype(samples.dtype)
     path *= turn.dtype.type(n / np.sum(np.abs(level) ** 2))
-    sine = np.imag(
-        np.einsum("mrt,r->mt", samples, level.astype(samples.dtype)) * path * turn[:, None]
-    )
+    relative = np.einsum("mrt,r->mt", samples, level.astype(samples.dtype)) * path * turn[:, None]
     time = np.linspace(-0.5, 0.5, n)
-    steady = turn[:, None] * np.exp(-1j * np.outer(_slopes(sine - sine.mean(axis=0), time), time))
-    return np.asarray(samples * steady.astype(samples.dtype)[:, None])
+    slope, of_amplitude = _slopes(relative - relative.mean(axis=0), time)
+    if _scatters_more(slope, of_amplitude):
+        turn = turn[:, None] * np.exp(-1j * np.outer(slope, time))
+    elif is_turned:
+        turn = turn[:, None]
+    else:
+        return samples
+    return np.asarray(samples * turn.astype(samples.dtype)[:, None])
 
 
-def _slopes(phase: Array, time: Array) -> Array:
-    """Slope of each slot's phase (n_slots, n_samples) by generalised least squares: the weight of a
-    frequency is the inverse of its power over all slots.
+def _scatters_more(phase: Array, amplitude: Array) -> bool:
+    """Whether phases of slots scatter more than amplitudes do, by an F-test of the variances."""
+    from scipy.special import fdtri
+
+    free = len(phase) - 1
+    return bool(free and np.var(phase) > fdtri(free, free, 1 - _CHANCE) * np.var(amplitude))
+
+
+def _slopes(relative: Complex, time: Array) -> tuple[Array, Array]:
+    """Slope of each slot's phase and amplitude over time (n_slots, n_samples) by generalised least
+    squares: the weight of a frequency is the inverse of the phases' power over all slots.
     """
-    spectrum, ramp = np.fft.rfft(phase)[:, 1:], np.fft.rfft(time)[1:]
-    power = np.mean(np.abs(spectrum) ** 2, axis=0)
+    ramp = np.fft.rfft(time)[1:]
+    phase, amplitude = (np.fft.rfft(part)[:, 1:] for part in (relative.imag, relative.real))
+    power = np.mean(np.abs(phase) ** 2, axis=0)
     weight = ramp.conj() / np.maximum(power, 1e-300)
-    return np.asarray(np.real(spectrum @ weight) / np.real(ramp @ weight))
+    scale = np.real(ramp @ weight)
+    return np.real(phase @ weight) / scale, np.real(amplitude @ weight) / scale
 
 
 def without_phase_noise(

@@ -5,10 +5,11 @@ branches add is spread over all delays, and is told at those with the weakest ec
 
 A mixer whose branches differ in gain or phase adds an image to every signal x: the record is
 x + b conj(x), up to a common factor (Valkama, Renfors, Koivunen, IEEE Trans. Signal Processing 49,
-2001). There, b is the regression of the record on its conjugate.
-
-An offset of the converters is on the middle subcarrier alone, and so the same at all delays: it is
-the mean over the quiet ones. It is its own image but for a factor, and counts for no image.
+2001). An offset of the converters is on the middle subcarrier alone, and so the same at all delays.
+The record is b times its own conjugate, plus the offset, plus what echoes and noise make of it, so
+that both are found by one regression over delays. Delays count the less the more is left of them:
+echoes are hardly in what is found, and the offset is what the middle subcarrier has beyond the
+value that its neighbours make likely for echoes.
 """
 
 from collections.abc import Sequence
@@ -21,12 +22,20 @@ from hardware.radar.demodulation import Complex
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
+Array = NDArray[np.float64]
 #: By receiver, step and delay, (n_receivers, n_steps, n_delays).
 ByDelay = NDArray[np.complex128]
 
-_CERTAIN = 6.0  # standard errors above which an image or an offset is significant
+_CERTAIN = 5.0  # standard errors above which an image or an offset is significant
+_SUSPECTED = 2.5  # and above which it is worth more than a first look
 _FEWEST = 8  # subcarriers, with which anything is told
 _DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
+_ROUNDED = 1.0  # counts rms, below which the converters' rounding makes branches alike
+_DRIFT = 2  # degree in time up to which an offset changes within a burst
+_SPREAD = 4.0  # delays over which an image spreads, at least
+_QUIET = 0.25  # quantile over delays that holds noise alone
+_ROUNDS = 30  # of the regression, at most
+_SETTLED = 1e-3  # change of the residue, relative to the noise, at which it ends
 
 
 def without_faults(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
@@ -39,20 +48,20 @@ def without_faults(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Com
     if waveform.n_subcarriers < _FEWEST:
         return list(steps)
     _check_changing(steps)
-    direct, image = at_quiet_delays(steps, waveform)
-    offset, ratios = _offsets(direct, waveform), image_ratios(direct, image)
-    if (worst := float(np.abs(ratios).max())) > _DEPENDENT:
-        raise InputError(
-            f"receiver {int(np.abs(ratios).argmax())}: the image is {worst:.3g} times the signal, "
-            "expected far less: I and Q depend on each other, as where a branch is dead"
-        )
-    if offset.any():
-        shifts = offset.T[..., None].astype(steps[0].dtype)
-        steps = [step - shift for step, shift in zip(steps, shifts, strict=True)]
-    if not ratios.any():
+    direct, image = by_delay(steps, waveform)
+    spread = image_spreads(waveform)
+    offsets, ratios = branch_faults(direct, image, spread)
+    if (is_alike := np.abs(ratios) > _DEPENDENT).any():
+        _check_independent(ratios, steps)
+        offsets, ratios = branch_faults(direct, image * ~is_alike[:, None, None], spread)
+    if ratios.any():
+        b = ratios.astype(steps[0].dtype)[:, None]
+        steps = [np.asarray((step - b * step.conj()) / (1 - np.abs(b) ** 2)) for step in steps]
+    if not offsets.any():
         return list(steps)
-    b = ratios.astype(steps[0].dtype)[:, None]
-    return [np.asarray((step - b * step.conj()) / (1 - np.abs(b) ** 2)) for step in steps]
+    shifts = (offsets / (1 - np.abs(ratios[:, None]) ** 2)).T[..., None] / _sent_back(waveform)[0]
+    steps = [step - shift.astype(step.dtype) for step, shift in zip(steps, shifts, strict=True)]
+    return _without_drift(steps, waveform)
 
 
 def _check_changing(steps: Sequence[Complex]) -> None:
@@ -66,40 +75,126 @@ def _check_changing(steps: Sequence[Complex]) -> None:
             )
 
 
-def _offsets(direct: ByDelay, waveform: OfdmWaveform) -> NDArray[np.complex128]:
-    """Of each receiver in each step, (n_receivers, n_steps); 0 where it is not significant."""
-    mean = direct.mean(axis=-1)
-    rest = np.mean(np.abs(direct - mean[..., None]) ** 2, axis=-1) / direct.shape[-1]
-    is_certain = np.abs(mean) ** 2 > _CERTAIN**2 * rest
-    return np.where(is_certain, mean / _sent_back(waveform)[0], 0)
+def _check_independent(ratios: NDArray[np.complex128], steps: Sequence[Complex]) -> None:
+    """Branches that change by less than a count may be alike by rounding; others may not."""
+    for receiver in np.flatnonzero(np.abs(ratios) > _DEPENDENT).tolist():
+        if any(step[:, receiver].std() > _ROUNDED for step in steps):
+            raise InputError(
+                f"receiver {receiver}: the image is {np.abs(ratios[receiver]):.3g} times the "
+                "signal, expected far less: I and Q depend on each other, as where a branch is dead"
+            )
 
 
-def image_ratios(direct: ByDelay, image: ByDelay) -> NDArray[np.complex128]:
-    """Amplitude of the image over the conjugate of the signal, (n_receivers,), in all steps
-    together, given both as of `at_quiet_delays`; 0 where it is not significant.
+def _without_drift(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
+    """Samples without what of an offset changes within a burst, where that is significant."""
+    times = np.linspace(-1, 1, len(steps[0]))
+    courses = np.linalg.qr(np.polynomial.legendre.legvander(times, min(_DRIFT, len(times) - 1)))[0]
+    corrected = list(steps)
+    for course in courses.T[1:].astype(steps[0].real.dtype):
+        changes = [np.tensordot(course, step, 1) for step in corrected]
+        direct = _delays(np.stack(changes, axis=1), waveform)
+        offsets = branch_faults(direct, np.zeros_like(direct), False)[0].T / _sent_back(waveform)[0]
+        if offsets.any():
+            corrected = [
+                step - np.multiply.outer(course, shift.astype(step.dtype))[..., None]
+                for step, shift in zip(corrected, offsets, strict=True)
+            ]
+    return corrected
+
+
+def branch_faults(
+    direct: ByDelay, image: ByDelay, spread: bool
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Offset that is left of each receiver in each step (n_receivers, n_steps) after subtraction of
+    the image, as it is at every delay, and the amplitude of the image over the conjugate of the
+    signal (n_receivers,), in all steps together; 0 where they are not significant. Arguments as of
+    `by_delay` and `image_spreads`.
+
+    Where an image is at the delays of its echo, it must not explain the echo away: it counts in
+    what is left at a delay only where it spreads.
     """
-    direct, image = (
-        (part - part.mean(axis=-1, keepdims=True)).reshape(len(part), -1)
-        for part in (direct, image)
-    )
-    power = np.maximum(np.sum(np.abs(image) ** 2, axis=1), 1e-300)
-    b = np.sum(image.conj() * direct, axis=1) / power
-    rest = np.mean(np.abs(direct - b[:, None] * image) ** 2, axis=1)
-    return np.asarray(np.where(np.abs(b) ** 2 > _CERTAIN**2 * rest / power, b, 0))
+    explained = image if spread else np.zeros_like(image)
+    for rounds, certain in ((1, _SUSPECTED), (_ROUNDS, _CERTAIN)):
+        weight = _weights(direct, explained, rounds)
+        offsets, ratios = _significant(direct, image, weight, certain)
+        if not (offsets.any() or ratios.any()):
+            break
+    return offsets, ratios
 
 
-def at_quiet_delays(steps: Sequence[Complex], waveform: OfdmWaveform) -> tuple[ByDelay, ByDelay]:
-    """The mean over slots and its conjugate at the half of all delays with less energy over all
-    steps and receivers: of static echoes.
+def _significant(
+    direct: ByDelay, image: ByDelay, weight: Array, certain: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """`_regression`, with 0 for what is below ``certain`` standard errors."""
+    everywhere = np.ones(direct.shape[:2], dtype=bool)
+    window = normalised_window("blackmanharris", direct.shape[-1])
+    power = np.mean(window**2)
+    # The window makes neighbouring delays alike, a signal and its conjugate two subcarriers.
+    alike = 2 * np.mean(window**4) / power**2
+    n, used = weight.sum(), weight.sum() ** 2 / np.sum(weight**2) / len(weight)
+    of_mean = (window.max() ** 2 / power + 1 / used - 1) / len(weight)
+
+    offsets, ratios = _regression(direct, image, weight, everywhere, everywhere[:, 0])
+    left = np.abs(direct - ratios[:, None, None] * image - offsets[..., None]) ** 2
+    noise = np.quantile(left, _QUIET, axis=-1) / -np.log1p(-_QUIET)
+    centred = np.abs(image - (image @ weight / n)[..., None]) ** 2
+    error = np.sum(centred @ weight**2 * noise, axis=1) * alike
+    has_image = np.abs(ratios) ** 2 * np.sum(centred @ weight, axis=1) ** 2 > certain**2 * error
+    offsets, _ = _regression(direct, image, weight, everywhere, has_image)
+    has_offset = np.abs(offsets) ** 2 > certain**2 * of_mean * noise
+    return _regression(direct, image, weight, has_offset, has_image)
+
+
+def _weights(direct: ByDelay, image: ByDelay, rounds: int) -> Array:
+    """Of every delay (n_delays,): the less, the more the regression leaves there beyond noise."""
+    everywhere = np.ones(direct.shape[:2], dtype=bool)
+    middle = np.median(direct.real, axis=-1) + 1j * np.median(direct.imag, axis=-1)
+    left = direct - middle[..., None]
+    weight = np.zeros(direct.shape[-1])
+    for _ in range(rounds):
+        energy = np.sum(np.abs(left) ** 2, axis=(0, 1))
+        noise = max(2 * float(np.quantile(energy, _QUIET)), 1e-300)
+        before, weight = weight, (noise / (energy + noise)) ** 2
+        if np.abs(weight - before).max() < _SETTLED:
+            break
+        offsets, ratios = _regression(direct, image, weight, everywhere, everywhere[:, 0])
+        left = direct - ratios[:, None, None] * image - offsets[..., None]
+    return weight
+
+
+def _regression(
+    direct: ByDelay,
+    image: ByDelay,
+    weight: Array,
+    has_offset: NDArray[np.bool_],
+    has_image: NDArray[np.bool_],
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Offsets (n_receivers, n_steps) and ratios (n_receivers,) by weighted least squares."""
+    means = [np.where(has_offset, part @ weight / weight.sum(), 0) for part in (direct, image)]
+    direct, image = direct - means[0][..., None], image - means[1][..., None]
+    power = np.sum(np.abs(image) ** 2 @ weight, axis=1)
+    ratios = np.sum((image.conj() * direct) @ weight, axis=1) / np.maximum(power, 1e-300)
+    ratios = np.where(has_image, ratios, 0)
+    return means[0] - ratios[:, None] * means[1], ratios
+
+
+def image_spreads(waveform: OfdmWaveform) -> bool:
+    """Whether the image of an echo spreads over many delays; of flat symbols, and of all that are
+    real and symmetric, it is where the echo is.
     """
+    sent = np.fft.ifftshift(waveform.sent().conj())
+    power = np.abs(np.fft.ifft(sent * np.roll(sent[::-1], 1))) ** 2
+    return bool(_SPREAD * np.sum(power**2) < np.sum(power) ** 2)
+
+
+def by_delay(steps: Sequence[Complex], waveform: OfdmWaveform) -> tuple[ByDelay, ByDelay]:
+    """The mean over slots and its conjugate at all delays: of static echoes."""
     still = np.stack([step.mean(axis=0) for step in steps], axis=1).astype(np.complex128)
-    sent_back = _sent_back(waveform)
-    direct, image = (
-        np.fft.ifft(np.fft.fft(samples) * sent_back) for samples in (still, still.conj())
-    )
-    energy = np.sum(np.abs(direct) ** 2, axis=(0, 1))
-    quiet = energy <= np.median(energy)
-    return direct[..., quiet], image[..., quiet]
+    return _delays(still, waveform), _delays(still.conj(), waveform)
+
+
+def _delays(samples: NDArray[np.complexfloating], waveform: OfdmWaveform) -> ByDelay:
+    return np.asarray(np.fft.ifft(np.fft.fft(samples) * _sent_back(waveform)), np.complex128)
 
 
 def _sent_back(waveform: OfdmWaveform) -> NDArray[np.complex128]:
