@@ -121,7 +121,7 @@ def demodulate(
     motion = relative_noise = mode = None
     if leakage and np.isfinite(leakage_s):
         if leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
-            samples = [with_steady_phase(step, wave, leakage_s) for step in samples]
+            samples = [with_steady_phase(step, wave, leakage_s, schedule) for step in samples]
             if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
                 cleaned, relative_noise, mode = without_phase_noise(
                     samples[0], wave, leakage_s, schedule

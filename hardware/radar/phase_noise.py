@@ -61,34 +61,40 @@ def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float
     return float(np.mean(snr))
 
 
-def with_steady_phase(samples: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
-    """Samples (n_slots, n_receivers, n_subcarriers) after removal of each slot's common phase, and
-    of its slope within the slot, each where it is more than noise and echoes make of it.
+def with_steady_phase(
+    samples: Complex, waveform: OfdmWaveform, delay_s: float, schedule: NDArray[np.intp]
+) -> Complex:
+    """Samples (n_slots, n_receivers, n_subcarriers) of a schedule's slots (n_transmitters,
+    n_rounds) after removal of each slot's common phase, and of its slope within the slot, each
+    where it is more than noise and echoes make of it.
 
     Separate oscillators of transmitter and receiver rotate all paths of a slot by the same phase.
     It is measured on the path at ``delay_s``, with a relative error of one over the root of its
     SNR. Noise and moving echoes change the path's amplitude as much as its phase, oscillators its
     phase alone: where the phases of slots scatter no more than the amplitudes, there is nothing to
     remove. A window excludes echoes a few range cells away from the phase. The part that all slots
-    have in common is not removed.
+    of a transmitter have in common is not removed.
     """
-    n = waveform.n_subcarriers
+    n, samples = waveform.n_subcarriers, samples[: schedule.size]
     path = (
         _leak(waveform, delay_s, normalised_window("blackmanharris", n))
         .conj()
         .astype(samples.dtype)
     )
     share = np.einsum("mrt,t->mr", samples, path)
-    level = share.mean(axis=0).conj()
-    turn = share @ level
+    level = np.empty_like(share)
+    for slots in schedule:
+        level[slots] = share[slots].mean(axis=0).conj()
+    level /= np.maximum(np.sum(np.abs(level) ** 2, axis=1, keepdims=True), 1e-300)
+    turn = np.sum(share * level, axis=1)
     if not np.all(turn):
         return samples
     size = np.abs(turn)
-    is_turned = _scatters_more(np.angle(turn), size / size.mean())
+    is_turned = _scatters_more(np.angle(turn), size)
     turn = turn.conj() / size if is_turned else np.ones_like(turn)
     path = _leak(waveform, delay_s, np.ones(n)).conj().astype(samples.dtype)
-    path *= turn.dtype.type(n / np.sum(np.abs(level) ** 2))
-    relative = np.einsum("mrt,r->mt", samples, level.astype(samples.dtype)) * path * turn[:, None]
+    path *= turn.dtype.type(n)
+    relative = np.einsum("mrt,mr->mt", samples, level.astype(samples.dtype)) * path * turn[:, None]
     time = np.linspace(-0.5, 0.5, n)
     slope, of_amplitude = _slopes(relative - relative.mean(axis=0), time)
     if _scatters_more(slope, of_amplitude):
