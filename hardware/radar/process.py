@@ -20,12 +20,12 @@ from hardware.radar.demodulation import Complex, Precision, check_precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
-from hardware.radar.measurement import EchoMeasurement, without_duplicates
+from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.music import music
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
-from hardware.radar.superresolution import resolve
+from hardware.radar.superresolution import split_targets
 from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
@@ -240,7 +240,7 @@ def _detections(
         warnings += [*_untested(interval.waveform, how), *_coupled(interval, how)]
     echoes = echoes[: how.at_most]
     if how.resolve:
-        echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
+        echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
     return points, [*warnings, *_ambiguous(points)]
 
@@ -285,27 +285,6 @@ def frames(
             yield replace(frame, warnings=(*frame.warnings, warning))
             return
         yield frame
-
-
-def _split_targets(
-    echoes: list[EchoMeasurement],
-    channel: Complex,
-    waveform: OfdmWaveform,
-    noise_w: float,
-    false_alarm: float,
-) -> list[EchoMeasurement]:
-    """Echoes of the targets that each consists of, with its alternative rates."""
-    parts: list[EchoMeasurement] = []
-    for i, echo in enumerate(echoes):
-        others = echoes[:i] + echoes[i + 1 :]
-        alternatives = echo.delay_rate_alternatives
-        parts += [
-            replace(part, delay_rate_alternatives=alternatives)
-            for part in resolve(
-                channel, waveform, echo, noise_w, false_alarm=false_alarm, others=others
-            )
-        ]
-    return without_duplicates(parts, waveform, folded=False)
 
 
 def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) -> list[Detection]:
