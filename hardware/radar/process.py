@@ -242,7 +242,7 @@ def _detections(
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
-    return points, [*warnings, *_ambiguous(points)]
+    return points, [*warnings, *_side_lobes(points, interval, how), *_ambiguous(points)]
 
 
 def _warnings(
@@ -333,14 +333,41 @@ def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
 
 
 def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
-    """A warning of ranges that hold at one rate alone: others shift them by a cell or more."""
-    shift_m = abs(interval.range_per_rate_s) * how.fastest_m_per_s
-    if shift_m < interval.waveform.range_cell_m:
+    """A warning of ranges that hold at one rate alone: others shift them by a cell or smear them."""
+    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
+        why = (
+            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
+            "each m/s more"
+        )
+    elif interval.scatter_per_rate * how.fastest_m_per_s >= 1:
+        why = (
+            "carrier steps in this order smear over ranges what moves by "
+            f"{1 / interval.scatter_per_rate:.2g} m/s more"
+        )
+    else:
         return []
     return [
         f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
-        f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for each "
-        "m/s more, which its error does not hold"
+        f"{why}, which its error does not hold"
+    ]
+
+
+def _side_lobes(
+    points: Sequence[Detection], interval: DemodulatedBurst, how: Processing
+) -> list[str]:
+    """A warning of detections that may be side lobes of moving echoes, of carrier steps."""
+    rate = np.array([point.range_rate_m_per_s for point in points]) - how.range_rate_m_per_s
+    error = np.array([point.range_rate_error_m_per_s for point in points])
+    most = np.abs(rate) + np.fmin(2 * error, how.fastest_m_per_s)
+    most = np.where(np.isnan(most), how.fastest_m_per_s, most)
+    power_w = np.array([point.power_w for point in points])
+    lobe_w = np.minimum(interval.scatter_per_rate * most, 1) ** 2 * power_w
+    count = int(np.count_nonzero(power_w < lobe_w.max(initial=0.0)))
+    if not count:
+        return []
+    return [
+        f"range: {count} of {len(points)} detections may be side lobes of stronger ones that move "
+        f"at other rates than {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s) from step to step"
     ]
 
 
