@@ -75,6 +75,11 @@ class Cfar:
             raise InputError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
 
 
+def has_training_cells(shape: tuple[int, ...], cfar: Cfar) -> bool:
+    """Whether the guard cells leave any of a map."""
+    return any(size > 2 * guard + 1 for size, guard in zip(shape, cfar.guard, strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class MapNoise:
     """Properties of a map's noise: correlation of its cells, and their distribution.

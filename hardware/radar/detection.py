@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.radar.cfar_rule import Cfar
+from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import (
@@ -47,7 +47,9 @@ class Detection:
     Parameters
     ----------
     range_m
-        From the antenna; NaN from a single subcarrier.
+        From the middle of the antennas' phase centres, that is half the sum of the mean transmitter
+        and the mean receiver: the antenna's origin where they lie around it. NaN from a single
+        subcarrier.
     range_rate_m_per_s
         Positive: receding; NaN from a single slot.
     power_w
@@ -163,8 +165,8 @@ def detect_echoes(
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
         raise InputError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
-    if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
-        return []  # guard cells only: no training cells
+    if not has_training_cells(cells, cfar):
+        return []
     # The rate of false alarms between cells is known for noise only, not for clutter.
     if window == "boxcar" or cfar.shape != float("inf"):
         peaks = peaks_above(image, cfar, window).strongest(at_most)

@@ -74,18 +74,24 @@ def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
 
 
 def _levels(record: "RadarRecord", burst: int) -> list[str]:
-    iq = record.iq[burst]
+    iq, flags = record.iq[burst], record.flags[burst]
     highest, lowest = iq.max(initial=0), iq.min(initial=0)
     if highest == lowest == 0:
         return [f"burst {burst}: IQ is all zero"]
     warnings = []
+    unknown = int(np.bitwise_or.reduce(flags, axis=None)) & ~sum(Flag)
+    if unknown:
+        warnings.append(
+            f"burst {burst}: flags of {np.count_nonzero(flags & unknown)} slots hold bits of "
+            f"unknown meaning ({unknown}), which are ignored"
+        )
     silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
     if silent:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
     clipped = 0
     if highest >= _RAIL or lowest <= -_RAIL:
         clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
-    flagged = int(np.count_nonzero(record.flags[burst] & Flag.SATURATED))
+    flagged = int(np.count_nonzero(flags & Flag.SATURATED))
     if clipped or flagged:
         warnings.append(
             f"burst {burst}: {clipped} of {iq.size} samples stand at the converter's rail, "

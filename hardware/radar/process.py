@@ -14,7 +14,7 @@ from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
-from hardware.radar.cfar_rule import Cfar
+from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision, check_precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
@@ -235,7 +235,7 @@ def _detections(
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
-    warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
+    warnings = _warnings(burst, len(echoes), image, how, clutter)
     if echoes:
         warnings += [*_untested(interval.waveform, how), *_coupled(interval, how)]
     echoes = echoes[: how.at_most]
@@ -246,16 +246,23 @@ def _detections(
 
 
 def _warnings(
-    burst: int, n_detections: int, n_channels: int, how: Processing, clutter: ClutterFit
+    burst: int, n_detections: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
 ) -> list[str]:
-    """Warnings of too many detections and of clutter."""
+    """Warnings of too many detections, of a map without training cells and of clutter."""
+    cells = image.power_w.shape
     warnings = _cut(burst, n_detections, how)
+    if not has_training_cells(cells, how.cfar):
+        warnings.append(
+            f"burst {burst}: nothing can be detected on a map of {cells[0]} x {cells[1]} cells, "
+            f"which the guard cells of CFAR cover, {how.cfar.guard[0]} and {how.cfar.guard[1]} to "
+            "each side (a Cfar with a smaller guard leaves training cells)"
+        )
     if not clutter.is_noise and how.cfar.shape == float("inf"):
         warnings.append(
             f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
             "cells as in noise are far above their median, as in K-distributed clutter of shape "
             f"{clutter.shape:.2g}; the rate of false alarms is "
-            f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times the one set "
+            f"{clutter.false_alarms(how.cfar.false_alarm, image.n_channels):.2g} times the one set "
             "(a CFAR with fitted shape keeps it)"
         )
     return warnings
@@ -333,7 +340,7 @@ def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
 
 
 def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
-    """A warning of ranges that hold at one rate alone: others shift them by a cell or smear them."""
+    """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
     if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
         why = (
             f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "

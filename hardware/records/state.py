@@ -132,7 +132,8 @@ class RadarFrontEnd:
     leakage_delay_s
         Of the direct way from transmitter to receiver, by calibration; NaN when unknown.
     transmitters_m, receivers_m : (n_transmitters, 3), (n_receivers, 3) float64
-        Phase centres in the antenna's frame: x ahead, y left, z up.
+        Phase centres in the antenna's frame: x ahead, y left, z up. Ranges are measured from the
+        middle of them, see `Detection`.
     """
 
     root_watt_per_count: float
