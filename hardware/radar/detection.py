@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_count, check_kind
 from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
@@ -27,7 +27,7 @@ from hardware.radar.refinement import (
     residual_power,
 )
 from hardware.radar.sensitivity import side_lobe, weak_echoes
-from hardware.radar.windows import frequency_variance, normalised_window
+from hardware.radar.windows import check_window, frequency_variance, normalised_window
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -162,6 +162,9 @@ def detect_echoes(
     alarm; what side lobes suppress on the second map is added to the first.
     """
     check_channel(channel, waveform)
+    check_kind("image", image, RangeDopplerMap, "hardware.range_doppler")
+    check_window(window)
+    check_count("at_most", at_most)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
         raise InputError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError, is_whole
+from hardware.errors import InputError, check_index
 from hardware.records.container import Flag
 
 if TYPE_CHECKING:
@@ -40,11 +40,7 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
 
     Raises InputError where there is no such part, and for a burst that the record does not have.
     """
-    if not is_whole(burst) or not 0 <= burst < len(record.iq):
-        raise InputError(
-            f"burst: {burst!s:.60}, the record holds {len(record.iq)}, expected a whole number "
-            "from 0 on below that"
-        )
+    check_index("burst", burst, len(record.iq))
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
 from hardware.described import Described
-from hardware.errors import InputError, check_count, check_finite
+from hardware.errors import InputError, check_count, check_finite, check_kind, check_switch
 from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
@@ -23,10 +23,10 @@ from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.music import music
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
-from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.range_doppler import MOST_OVERSAMPLING, RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.superresolution import split_targets
-from hardware.radar.windows import noise_gain
+from hardware.radar.windows import check_window, noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -86,14 +86,20 @@ class Processing:
     detection: str | OwnDetection | Detect | None = None
 
     def __post_init__(self) -> None:
-        for name in ("oversampling", "at_most", "per_cell"):
+        check_window(self.window)
+        check_count("oversampling", self.oversampling, most=MOST_OVERSAMPLING)
+        check_kind("cfar", self.cfar, Cfar, "hardware.Cfar")
+        for name in ("at_most", "per_cell"):
             check_count(name, getattr(self, name))
         check_precision(self.precision)
-        check_finite("range_rate_m_per_s", self.range_rate_m_per_s)
+        for name in ("leakage", "moving_only", "resolve"):
+            check_switch(name, getattr(self, name))
+        check_finite("range_rate_m_per_s", self.range_rate_m_per_s, C_M_PER_S)
         if self.reference_delay_s is not None:
             check_finite("reference_delay_s", self.reference_delay_s)
         fastest: object = self.fastest_m_per_s
-        if not (isinstance(fastest, int | float | np.number) and fastest >= 0):
+        is_switch = isinstance(fastest, bool)
+        if is_switch or not (isinstance(fastest, int | float | np.number) and fastest >= 0):
             raise InputError(f"fastest_m_per_s: {fastest!r:.60}, expected a number from 0 on")
         if self.detection is not None:
             object.__setattr__(self, "detection", detection_of(self.detection))
@@ -162,7 +168,8 @@ def process(
     >>> f"{detection.range_m:.2f} m, {detection.range_rate_m_per_s:.1f} m/s"
     '20.00 m, 0.0 m/s'
     """
-    how = how or Processing()
+    how = Processing() if how is None else how
+    check_kind("how", how, Processing, "hardware.Processing")
     interval = demodulate(
         record,
         burst,
