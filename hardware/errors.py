@@ -5,6 +5,7 @@ of a library among them, is a fault of the software itself.
 """
 
 import math
+from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import Any
 
@@ -30,16 +31,47 @@ def is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Raise InputError unless an argument is a whole number from ``least`` on."""
-    if not is_whole(value) or value < least:
-        raise InputError(f"{name}: {value!r:.60}, expected a whole number from {least} on")
+def check_count(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
+    """Raise InputError unless an argument is a whole number from ``least`` on, up to ``most``."""
+    if not is_whole(value) or value < least or (most is not None and value > most):
+        limit = "" if most is None else f", at most {most}"
+        raise InputError(f"{name}: {value!r:.60}, expected a whole number from {least} on{limit}")
 
 
-def check_finite(name: str, value: object) -> None:
-    """Raise InputError unless an argument is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-        raise InputError(f"{name}: {value!r:.60}, expected a finite number")
+def check_index(name: str, value: Any, size: int) -> None:
+    """Raise InputError unless an argument is the place of one of ``size`` things of a record."""
+    if not is_whole(value) or not 0 <= value < size:
+        raise InputError(
+            f"{name}: {value!s:.60}, the record holds {size}, expected a whole number from 0 on "
+            "below that"
+        )
+
+
+def check_finite(name: str, value: object, within: float = math.inf) -> None:
+    """Raise InputError unless an argument is a finite number, at most ``within`` either way."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value) or abs(value) > within:  # type: ignore[arg-type]
+        limit = "" if math.isinf(within) else f" within +/- {within:.9g}"
+        raise InputError(f"{name}: {value!r:.60}, expected a finite number{limit}")
+
+
+def check_positive(name: str, value: Any) -> None:
+    """Raise InputError unless an argument is a finite number above 0."""
+    check_finite(name, value)
+    if value <= 0:
+        raise InputError(f"{name}: {value!r:.60} is not a positive number")
+
+
+def check_switch(name: str, value: object) -> None:
+    """Raise InputError unless an argument is True or False."""
+    if not isinstance(value, bool):
+        raise InputError(f"{name}: {value!r:.60}, expected True or False")
+
+
+def check_choice(name: str, value: object, choices: Sequence[str]) -> None:
+    """Raise InputError unless an argument is one of some words."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name}: {value!r:.60} is none of {', '.join(choices)}")
 
 
 class DeviceError(HardwareError, ValueError):

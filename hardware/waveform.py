@@ -4,14 +4,13 @@ A slot holds a prefix and several repeats of one symbol without pause; the recei
 repeats. The same symbol goes out in every slot.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_choice, check_count, check_finite, check_positive
 from hardware.symbols import OwnSymbols, own_symbols
 
 C_M_PER_S = 299_792_458.0
@@ -68,12 +67,11 @@ class OfdmWaveform:
         elif self.symbols != "own":
             object.__setattr__(self, "own", None)
         for name in ("carrier_hz", "subcarrier_spacing_hz", "slot_period_s"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"{name}: {getattr(self, name)} is not a positive number")
+            check_positive(name, getattr(self, name))
         for name in ("n_subcarriers", "n_slots", "repeats"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name}: {getattr(self, name)} is less than 1")
-        if not self.prefix_s >= 0:
+            check_count(name, getattr(self, name))
+        check_finite("prefix_s", self.prefix_s)
+        if self.prefix_s < 0:
             raise InputError(f"prefix_s: {self.prefix_s} is negative")
         busy = self.prefix_s + self.repeats * self.symbol_s
         if busy > self.slot_period_s * (1 + 1e-9):
@@ -88,8 +86,8 @@ class OfdmWaveform:
                 f"symbols: {self.own.values.size}, expected one for each of n_subcarriers, "
                 f"{self.n_subcarriers}"
             )
-        if self.own is None and self.symbols not in get_args(Symbols):
-            raise InputError(f"symbols: {self.symbols!r} is none of {', '.join(get_args(Symbols))}")
+        if self.own is None:
+            check_choice("symbols", self.symbols, get_args(Symbols))
 
     @property
     def symbol_s(self) -> float:

@@ -12,7 +12,7 @@ from hardware.radar.demodulation import Complex, Precision, complex_samples, dem
 from hardware.radar.integrity import usable_part
 from hardware.radar.phase_noise import leakage_snr, with_steady_phase, without_phase_noise
 from hardware.radar.quadrature import without_faults
-from hardware.radar.stitching import range_per_rate_s, stitch
+from hardware.radar.stitching import range_per_rate_s, scatter_per_rate, stitch, weak_reference
 from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class DemodulatedBurst:
         False when a loss of data cut the burst short; ``warnings`` say where.
     middle_ns
         Device clock in the middle of the slots, from which ``waveform`` counts their times.
-    range_per_rate_s
-        Of carrier steps, see `range_per_rate_s`; with one carrier 0.
+    range_per_rate_s, scatter_per_rate
+        Of carrier steps, see `range_per_rate_s` and `scatter_per_rate`; with one carrier 0.
     """
 
     channel: Complex
@@ -65,6 +65,7 @@ class DemodulatedBurst:
     relative_noise: Array | None = None
     leakage: Complex | None = None
     range_per_rate_s: float = 0.0
+    scatter_per_rate: float = 0.0
 
 
 def demodulate(
@@ -133,7 +134,7 @@ def demodulate(
             seen = snr > _SEEN
             if not seen:
                 leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
-    coupling_s = 0.0
+    coupling_s = scatter = 0.0
     cube = [
         _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
     ]
@@ -144,6 +145,8 @@ def demodulate(
         carriers_hz = record.carriers_hz[: part.n_steps]
         times_s = 1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64)
         coupling_s = range_per_rate_s(carriers_hz, times_s)
+        scatter = scatter_per_rate(carriers_hz, times_s, wave)
+        has_reference = seen or reference_delay_s is not None
         stitched = stitch(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
@@ -151,9 +154,11 @@ def demodulate(
             leakage_s if reference_delay_s is None else reference_delay_s,
             step_times_s=times_s,
             range_rate_m_per_s=range_rate_m_per_s,
-            reference_seen=seen or reference_delay_s is not None,
+            reference_seen=has_reference,
         )
         wide_channel, wide, motion = stitched.channel, stitched.waveform, stitched.motion
+        if has_reference:
+            leakage_warnings += tuple(f"burst {burst}: {text}" for text in weak_reference(stitched))
     if leakage and np.isfinite(leakage_s):
         wide_channel = without_leakage(wide_channel, wide, leakage_s)
     if motion is not None:
@@ -172,6 +177,7 @@ def demodulate(
         relative_noise=relative_noise,
         leakage=None if mode is None else mode.ravel(),
         range_per_rate_s=coupling_s,
+        scatter_per_rate=scatter,
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.radar.cfar_rule import Cfar, MapNoise, offsets_of, rule
 from hardware.radar.k_distribution import fit
 from hardware.radar.windows import normalised_window
@@ -42,8 +43,10 @@ def cfar_threshold(
     noise
         Properties of the map's noise; default: independent cells of one channel.
 
-    Raises InputError when the map has no training cells.
+    Raises InputError when the map has no training cells, or is none.
     """
+    if not isinstance(power, np.ndarray) or power.ndim != 2:
+        raise InputError(f"power: {power!r:.60}, expected an array (n_ranges, n_rates)")
     noise = noise or MapNoise()
     if noise.relative_noise is not None:
         uneven = np.broadcast_to(noise.relative_noise, power.shape)

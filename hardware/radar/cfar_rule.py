@@ -23,7 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError, check_count
+from hardware.errors import InputError, check_choice, check_count
 from hardware.radar.k_distribution import quantile, survival
 from hardware.radar.windows import correlation, normalised_window
 
@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Method = Literal["ca", "go", "os"]
 QUANTILE = 0.75  # of the training cells, for os
+_LEAST_SHAPE = 0.1  # of clutter, as `fit` gives it
+_RAREST = 1e-100  # probability of false alarm; rarer ones are beyond what numbers hold
+_WIDEST = 20.0  # logarithm of the threshold over its reference
 _MOST_ORDERED = 96  # cells that os sorts
 
 
@@ -48,8 +51,8 @@ class Cfar:
         Guard and training cells on each side along range and rate. The guard must cover the main
         lobe of the window: 3 for ``blackmanharris``.
     shape
-        Of K-distributed clutter; infinite for noise. ``"fitted"``: to each map, and by `process`
-        to the map without a window, which does not average clutter over cells.
+        Of K-distributed clutter, from 0.1 on; infinite for noise. ``"fitted"``: to each map, and
+        by `process` to the map without a window, which does not average clutter over cells.
     """
 
     false_alarm: float = 1e-8
@@ -60,10 +63,11 @@ class Cfar:
 
     def __post_init__(self) -> None:
         rate: object = self.false_alarm
-        if not (isinstance(rate, int | float | np.number) and 0 < rate < 1):
-            raise InputError(f"false_alarm: {rate!r:.60}, expected a number between 0 and 1")
-        if self.method not in get_args(Method):
-            raise InputError(f"method: {self.method!r} is none of {', '.join(get_args(Method))}")
+        if not (isinstance(rate, int | float | np.number) and _RAREST <= rate < 1):
+            raise InputError(
+                f"false_alarm: {rate!r:.60}, expected a number between 0 and 1, from {_RAREST:g} on"
+            )
+        check_choice("method", self.method, get_args(Method))
         for name in ("guard", "training"):
             sides = getattr(self, name)
             if not (isinstance(sides, tuple) and len(sides) == 2):
@@ -71,8 +75,20 @@ class Cfar:
             for side in sides:
                 check_count(name, side, 0)
         shape: object = self.shape
-        if shape != "fitted" and not (isinstance(shape, int | float) and shape > 0):
-            raise InputError(f"shape: {self.shape!r}, expected a positive number or 'fitted'")
+        if isinstance(shape, str) and shape == "fitted":
+            return
+        is_number = isinstance(shape, int | float) and not isinstance(shape, bool)
+        if not (is_number and float(self.shape) >= _LEAST_SHAPE):
+            raise InputError(
+                f"shape: {shape!r:.60}, expected a positive number or 'fitted', from "
+                f"{_LEAST_SHAPE:g} on"
+            )
+        object.__setattr__(self, "shape", float(self.shape))
+
+
+def has_training_cells(shape: tuple[int, ...], cfar: Cfar) -> bool:
+    """Whether the guard cells leave any of a map."""
+    return any(size > 2 * guard + 1 for size, guard in zip(shape, cfar.guard, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +151,10 @@ def cfar_factor(
     rank: float | None = None,
     clutter_shape: float = np.inf,
 ) -> float:
-    """Threshold over the reference of ``cells`` independent cells (in each half, for ``go``)."""
+    """Threshold over the reference of ``cells`` independent cells (in each half, for ``go``).
+
+    Raises InputError where no threshold has this probability of false alarm.
+    """
     from scipy.optimize import brentq
     from scipy.special import betaincinv, gammaincinv, ndtr
 
@@ -157,7 +176,12 @@ def cfar_factor(
         rate = weight @ survival(np.exp(log_factor) * z, n_channels, clutter_shape)
         return float(np.log(rate + 1e-300) - np.log(false_alarm))
 
-    return float(np.exp(brentq(excess, -20, 20, xtol=1e-10)))
+    if not excess(-_WIDEST) > 0 > excess(_WIDEST):
+        raise InputError(
+            f"false_alarm: {false_alarm:g}: no threshold has it, in clutter of shape "
+            f"{clutter_shape:g} and with {cells:.3g} training cells"
+        )
+    return float(np.exp(brentq(excess, -_WIDEST, _WIDEST, xtol=1e-10)))
 
 
 def _regions(shape: tuple[int, ...], cfar: Cfar) -> list[Mask]:

@@ -88,6 +88,10 @@ class ChannelNoise:
         ]
         return np.asarray(np.sqrt(np.real(powers) / (2 * self.signal_w(amplitude))))
 
+    def scaled(self, factor: float) -> "ChannelNoise":
+        """With ``factor`` times the power on all channels."""
+        return ChannelNoise(factor * self.covariance_w, factor * self.least_w)
+
     def raised(self, factor: float, mode: Complex) -> "ChannelNoise":
         """With ``factor`` times the power along each of the modes (n_channels, n_modes), which are
         orthonormal.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
+from hardware.errors import check_choice, check_index, check_kind
 from hardware.waveform import OfdmWaveform
 
 if TYPE_CHECKING:
@@ -23,10 +23,7 @@ Precision = Literal["double", "single"]
 
 def check_precision(precision: object) -> None:
     """Raise InputError unless it is a `Precision`."""
-    if precision not in get_args(Precision):
-        raise InputError(
-            f"precision: {precision!r:.60} is none of {', '.join(get_args(Precision))}"
-        )
+    check_choice("precision", precision, get_args(Precision))
 
 
 def channel(
@@ -41,7 +38,15 @@ def channel(
 
     One subcarrier carries 1/N of the power; the division by the sent symbols includes the factor
     sqrt(N), so that an echo of power P has the modulus sqrt(P) on every subcarrier.
+
+    Raises InputError for a burst, step or receiver that the record does not have.
     """
+    from hardware.records.radar import RadarRecord
+
+    check_kind("record", record, RadarRecord, "hardware.read_radar_record")
+    sizes = record.iq.shape
+    for name, index, axis in (("burst", burst, 0), ("step", step, 1), ("receiver", receiver, 3)):
+        check_index(name, index, sizes[axis])
     counts = complex_samples(record.iq[burst, step, :, receiver], precision)
     return demodulate_samples(counts, record.waveform, record.front_end.root_watt_per_count).T
 

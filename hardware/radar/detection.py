@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
-from hardware.radar.cfar_rule import Cfar
+from hardware.errors import InputError, check_count, check_kind
+from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import (
@@ -27,7 +27,7 @@ from hardware.radar.refinement import (
     residual_power,
 )
 from hardware.radar.sensitivity import side_lobe, weak_echoes
-from hardware.radar.windows import frequency_variance, normalised_window
+from hardware.radar.windows import check_window, frequency_variance, normalised_window
 from hardware.radar.within_symbols import leakage_of
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -48,7 +48,9 @@ class Detection:
     Parameters
     ----------
     range_m
-        From the antenna; NaN from a single subcarrier.
+        From the middle of the antennas' phase centres, that is half the sum of the mean transmitter
+        and the mean receiver: the antenna's origin where they lie around it. NaN from a single
+        subcarrier.
     range_rate_m_per_s
         Positive: receding; NaN from a single slot.
     power_w
@@ -161,11 +163,14 @@ def detect_echoes(
     alarm; what side lobes suppress on the second map is added to the first.
     """
     check_channel(channel, waveform)
+    check_kind("image", image, RangeDopplerMap, "hardware.range_doppler")
+    check_window(window)
+    check_count("at_most", at_most)
     cells = tuple(s * image.oversampling for s in channel.shape[-2:])
     if image.power_w.shape != cells:
         raise InputError(f"image: shape {image.power_w.shape}, expected the channel's {cells}")
-    if all(size <= 2 * g + 1 for size, g in zip(cells, cfar.guard, strict=True)):
-        return []  # guard cells only: no training cells
+    if not has_training_cells(cells, cfar):
+        return []
     # The rate of false alarms between cells is known for noise only, not for clutter.
     if window == "boxcar" or cfar.shape != float("inf"):
         peaks = peaks_above(image, cfar, window).strongest(at_most)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError, is_whole
+from hardware.errors import InputError, check_index
 from hardware.records.container import Flag
 
 if TYPE_CHECKING:
@@ -40,11 +40,7 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
 
     Raises InputError where there is no such part, and for a burst that the record does not have.
     """
-    if not is_whole(burst) or not 0 <= burst < len(record.iq):
-        raise InputError(
-            f"burst: {burst!s:.60}, the record holds {len(record.iq)}, expected a whole number "
-            "from 0 on below that"
-        )
+    check_index("burst", burst, len(record.iq))
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)
@@ -74,18 +70,24 @@ def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
 
 
 def _levels(record: "RadarRecord", burst: int) -> list[str]:
-    iq = record.iq[burst]
+    iq, flags = record.iq[burst], record.flags[burst]
     highest, lowest = iq.max(initial=0), iq.min(initial=0)
     if highest == lowest == 0:
         return [f"burst {burst}: IQ is all zero"]
     warnings = []
+    unknown = int(np.bitwise_or.reduce(flags, axis=None)) & ~sum(Flag)
+    if unknown:
+        warnings.append(
+            f"burst {burst}: flags of {np.count_nonzero(flags & unknown)} slots hold bits of "
+            f"unknown meaning ({unknown}), which are ignored"
+        )
     silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
     if silent:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
     clipped = 0
     if highest >= _RAIL or lowest <= -_RAIL:
         clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
-    flagged = int(np.count_nonzero(record.flags[burst] & Flag.SATURATED))
+    flagged = int(np.count_nonzero(flags & Flag.SATURATED))
     if clipped or flagged:
         warnings.append(
             f"burst {burst}: {clipped} of {iq.size} samples stand at the converter's rail, "

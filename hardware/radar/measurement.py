@@ -83,11 +83,13 @@ def with_noise(echo: EchoMeasurement, noise: ChannelNoise) -> EchoMeasurement:
     """An echo with its standard errors in other noise."""
     before, now = echo.noise.snr(echo.amplitude), noise.snr(echo.amplitude)
     wider = float(np.sqrt(before / now)) if now < np.inf else 1.0
+    power_error_w = noise.power_error_w(echo.amplitude)
+    own_w = echo.noise.power_error_w(echo.amplitude)
     return replace(
         echo,
         delay_error_s=wider * echo.delay_error_s,
         delay_rate_error=wider * echo.delay_rate_error,
-        power_error_w=noise.power_error_w(echo.amplitude),
+        power_error_w=power_error_w * (echo.power_error_w / own_w if own_w else 1.0),
         noise=noise,
     )
 

@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
 from hardware.described import Described
-from hardware.errors import InputError, check_count, check_finite
+from hardware.errors import InputError, check_count, check_finite, check_kind, check_switch
 from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
-from hardware.radar.cfar_rule import Cfar
+from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision, check_precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
-from hardware.radar.measurement import EchoMeasurement, without_duplicates
+from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.music import music
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
-from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
+from hardware.radar.range_doppler import MOST_OVERSAMPLING, RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
-from hardware.radar.superresolution import resolve
-from hardware.radar.windows import noise_gain
+from hardware.radar.superresolution import split_targets
+from hardware.radar.windows import check_window, noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -86,14 +86,20 @@ class Processing:
     detection: str | OwnDetection | Detect | None = None
 
     def __post_init__(self) -> None:
-        for name in ("oversampling", "at_most", "per_cell"):
+        check_window(self.window)
+        check_count("oversampling", self.oversampling, most=MOST_OVERSAMPLING)
+        check_kind("cfar", self.cfar, Cfar, "hardware.Cfar")
+        for name in ("at_most", "per_cell"):
             check_count(name, getattr(self, name))
         check_precision(self.precision)
-        check_finite("range_rate_m_per_s", self.range_rate_m_per_s)
+        for name in ("leakage", "moving_only", "resolve"):
+            check_switch(name, getattr(self, name))
+        check_finite("range_rate_m_per_s", self.range_rate_m_per_s, C_M_PER_S)
         if self.reference_delay_s is not None:
             check_finite("reference_delay_s", self.reference_delay_s)
         fastest: object = self.fastest_m_per_s
-        if not (isinstance(fastest, int | float | np.number) and fastest >= 0):
+        is_switch = isinstance(fastest, bool)
+        if is_switch or not (isinstance(fastest, int | float | np.number) and fastest >= 0):
             raise InputError(f"fastest_m_per_s: {fastest!r:.60}, expected a number from 0 on")
         if self.detection is not None:
             object.__setattr__(self, "detection", detection_of(self.detection))
@@ -162,7 +168,8 @@ def process(
     >>> f"{detection.range_m:.2f} m, {detection.range_rate_m_per_s:.1f} m/s"
     '20.00 m, 0.0 m/s'
     """
-    how = how or Processing()
+    how = Processing() if how is None else how
+    check_kind("how", how, Processing, "hardware.Processing")
     interval = demodulate(
         record,
         burst,
@@ -235,27 +242,34 @@ def _detections(
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
-    warnings = _warnings(burst, len(echoes), image.n_channels, how, clutter)
+    warnings = _warnings(burst, len(echoes), image, how, clutter)
     if echoes:
         warnings += [*_untested(interval.waveform, how), *_coupled(interval, how)]
     echoes = echoes[: how.at_most]
     if how.resolve:
-        echoes = _split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
+        echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
-    return points, [*warnings, *_ambiguous(points)]
+    return points, [*warnings, *_side_lobes(points, interval, how), *_ambiguous(points)]
 
 
 def _warnings(
-    burst: int, n_detections: int, n_channels: int, how: Processing, clutter: ClutterFit
+    burst: int, n_detections: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
 ) -> list[str]:
-    """Warnings of too many detections and of clutter."""
+    """Warnings of too many detections, of a map without training cells and of clutter."""
+    cells = image.power_w.shape
     warnings = _cut(burst, n_detections, how)
+    if not has_training_cells(cells, how.cfar):
+        warnings.append(
+            f"burst {burst}: nothing can be detected on a map of {cells[0]} x {cells[1]} cells, "
+            f"which the guard cells of CFAR cover, {how.cfar.guard[0]} and {how.cfar.guard[1]} to "
+            "each side (a Cfar with a smaller guard leaves training cells)"
+        )
     if not clutter.is_noise and how.cfar.shape == float("inf"):
         warnings.append(
             f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
             "cells as in noise are far above their median, as in K-distributed clutter of shape "
             f"{clutter.shape:.2g}; the rate of false alarms is "
-            f"{clutter.false_alarms(how.cfar.false_alarm, n_channels):.2g} times the one set "
+            f"{clutter.false_alarms(how.cfar.false_alarm, image.n_channels):.2g} times the one set "
             "(a CFAR with fitted shape keeps it)"
         )
     return warnings
@@ -285,27 +299,6 @@ def frames(
             yield replace(frame, warnings=(*frame.warnings, warning))
             return
         yield frame
-
-
-def _split_targets(
-    echoes: list[EchoMeasurement],
-    channel: Complex,
-    waveform: OfdmWaveform,
-    noise_w: float,
-    false_alarm: float,
-) -> list[EchoMeasurement]:
-    """Echoes of the targets that each consists of, with its alternative rates."""
-    parts: list[EchoMeasurement] = []
-    for i, echo in enumerate(echoes):
-        others = echoes[:i] + echoes[i + 1 :]
-        alternatives = echo.delay_rate_alternatives
-        parts += [
-            replace(part, delay_rate_alternatives=alternatives)
-            for part in resolve(
-                channel, waveform, echo, noise_w, false_alarm=false_alarm, others=others
-            )
-        ]
-    return without_duplicates(parts, waveform, folded=False)
 
 
 def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) -> list[Detection]:
@@ -354,14 +347,41 @@ def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
 
 
 def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
-    """A warning of ranges that hold at one rate alone: others shift them by a cell or more."""
-    shift_m = abs(interval.range_per_rate_s) * how.fastest_m_per_s
-    if shift_m < interval.waveform.range_cell_m:
+    """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
+    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
+        why = (
+            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
+            "each m/s more"
+        )
+    elif interval.scatter_per_rate * how.fastest_m_per_s >= 1:
+        why = (
+            "carrier steps in this order smear over ranges what moves by "
+            f"{1 / interval.scatter_per_rate:.2g} m/s more"
+        )
+    else:
         return []
     return [
         f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
-        f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for each "
-        "m/s more, which its error does not hold"
+        f"{why}, which its error does not hold"
+    ]
+
+
+def _side_lobes(
+    points: Sequence[Detection], interval: DemodulatedBurst, how: Processing
+) -> list[str]:
+    """A warning of detections that may be side lobes of moving echoes, of carrier steps."""
+    rate = np.array([point.range_rate_m_per_s for point in points]) - how.range_rate_m_per_s
+    error = np.array([point.range_rate_error_m_per_s for point in points])
+    most = np.abs(rate) + np.fmin(2 * error, how.fastest_m_per_s)
+    most = np.where(np.isnan(most), how.fastest_m_per_s, most)
+    power_w = np.array([point.power_w for point in points])
+    lobe_w = np.minimum(interval.scatter_per_rate * most, 1) ** 2 * power_w
+    count = int(np.count_nonzero(power_w < lobe_w.max(initial=0.0)))
+    if not count:
+        return []
+    return [
+        f"range: {count} of {len(points)} detections may be side lobes of stronger ones that move "
+        f"at other rates than {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s) from step to step"
     ]
 
 

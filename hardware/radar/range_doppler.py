@@ -12,14 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.described import Described
-from hardware.errors import InputError, check_count
+from hardware.errors import InputError, check_count, check_kind
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whiten
-from hardware.radar.windows import normalised_window
+from hardware.radar.windows import check_window, normalised_window
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating[Any]]
+
+#: Cells per resolution cell along each axis, more than any use has.
+MOST_OVERSAMPLING = 64
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,8 +94,13 @@ def range_doppler(
     Raises InputError for a channel that does not fit the waveform, or no whole ``oversampling``.
     """
     check_channel(channel, waveform)
-    check_count("oversampling", oversampling)
+    check_window(window)
+    check_count("oversampling", oversampling, most=MOST_OVERSAMPLING)
     n, m = channel.shape[-2:]
+    if relative_noise is not None and np.shape(relative_noise) not in ((n, m), (n, 1)):
+        raise InputError(
+            f"relative_noise: shape {np.shape(relative_noise)}, expected ({n}, {m}) or ({n}, 1)"
+        )
     across, along = oversampling * n, oversampling * m
     parts = channel.reshape(-1, n, m)
     images, looks = whiten([complex_map(part, window, oversampling) for part in parts])
@@ -129,6 +137,9 @@ def _through_window(noise: Array | None, window: str, oversampling: int) -> Arra
 
 def check_channel(channel: Complex, waveform: OfdmWaveform) -> None:
     """Raise InputError unless a channel has the waveform's subcarriers and slots."""
+    check_kind("waveform", waveform, OfdmWaveform, "a record")
+    if not isinstance(channel, np.ndarray) or channel.dtype.kind != "c" or not channel.size:
+        raise InputError(f"channel: {channel!r:.60}, expected an array of complex numbers")
     expected = waveform.n_subcarriers, waveform.n_slots
     if channel.ndim not in (2, 3) or channel.shape[-2:] != expected:
         raise InputError(

@@ -26,7 +26,8 @@ _TERMS = 38  # of it
 _ROUNDING = 1e-17  # its first term that is left out
 #: Cells to each side of an echo in which its noise is measured.
 AROUND = 3
-_APART = 0.01  # cells between places of which the differences tell how an echo changes
+#: Cells between places of which the differences tell how an echo changes.
+APART = 0.01
 _ALIKE = 1e-9  # of their power: less is rounding error
 _LEAST_LEFT = 0.05  # of noise, from which its power can be told
 _CLOSE = 1e-6  # cells: the square of this is left of an error in the next step
@@ -347,15 +348,19 @@ def residual_cells(
     *,
     follow: bool = True,
     leakage: NDArray[np.complex128] | None = None,
+    beside: Array | None = None,
 ) -> NDArray[np.complex128]:
     """Amplitudes (n_channels, n_cells) of the cells around a target after its subtraction: noise
     and other echoes, up to ``reach`` cells to each side.
 
     ``follow``: every channel has a delay and a rate of its own, as where antennas are a part of a
     range cell apart. ``leakage`` (n_subcarriers,): what subcarriers hold of the target beside its
-    echo, over the echo. What the subtraction takes from white noise is given back in the mean.
+    echo, over the echo. ``beside`` (n, 2): others that are subtracted as well. What the subtraction
+    takes from white noise is given back in the mean.
     """
-    places = step + np.array([[0.0, 0.0], [_APART, 0.0], [0.0, _APART]])[: 3 if follow else 1]
+    moves = np.array([[0.0, 0.0], [APART, 0.0], [0.0, APART]])[: 3 if follow else 1]
+    subtracted = step[None] if beside is None else np.vstack([step, beside])
+    places = (subtracted[:, None] + moves).reshape(-1, 2)
     atoms = unit_echoes(blocks, places).reshape(len(places), -1)
     if leakage is not None:
         starts = np.cumsum(blocks.grid.count_f) - blocks.grid.count_f

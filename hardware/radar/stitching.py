@@ -22,6 +22,8 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_LEAST_OVER_ECHOES_DB = 6.5  # with eight echoes as strong as the strongest, 1 of 20 is wrong
+
 
 @dataclass(frozen=True, eq=False)
 class StitchedChannel:
@@ -30,6 +32,7 @@ class StitchedChannel:
     Multiplication by ``motion`` (n_steps n_subcarriers,) compensates the motion of an echo relative
     to the burst's middle; the reference does not move and must be subtracted first. ``phase_rad``
     and ``late_samples`` (n_steps,), in the order of time: the compensated phase and delay.
+    ``over_echoes``: power of the reference over that of the strongest later echo.
     """
 
     channel: Complex
@@ -37,6 +40,7 @@ class StitchedChannel:
     motion: Complex
     phase_rad: Array
     late_samples: NDArray[np.int64]
+    over_echoes: float
 
 
 def stitch(
@@ -109,7 +113,52 @@ def stitch(
     turn = timing * np.exp(-1j * unsorted)[:, None]
     wide_channel = (steps * turn[..., None])[:, order]
     shape = (len(steps), len(order) * n, steps.shape[-1])
-    return StitchedChannel(wide_channel.reshape(shape), wide, motion[order].ravel(), unsorted, late)
+    return StitchedChannel(
+        wide_channel.reshape(shape),
+        wide,
+        motion[order].ravel(),
+        unsorted,
+        late,
+        _over_echoes(wide_channel.mean(axis=-1), path[order]),
+    )
+
+
+def _over_echoes(still: Complex, path: Complex) -> float:
+    """Power of the reference ``path`` (n_steps, n) over that of the strongest later echo of the
+    stitched steps ``still`` (n_channels, n_steps, n).
+
+    Echoes are also searched step by step, since they have no peak where the phases are wrong.
+    """
+    along = still * path.conj()
+    by_step = along.mean(axis=-1)
+    reference_w = np.mean(np.abs(by_step.mean(axis=-1)) ** 2)
+    later = along - by_step[..., None], along - by_step.mean(axis=-1)[:, None, None]
+    wide = later[1].reshape(len(still), 1, -1)
+    strongest_w = max(
+        np.mean(np.abs(np.fft.ifft(rest, 2 * rest.shape[-1], axis=-1)) ** 2, axis=(0, 1)).max()
+        for rest in (later[0], wide)
+    )
+    return float(reference_w / (4 * strongest_w)) if strongest_w else float("inf")
+
+
+def weak_reference(stitched: StitchedChannel) -> list[str]:
+    """Warnings that an echo may have been taken for the reference."""
+    warnings = []
+    over_db = 10 * np.log10(stitched.over_echoes)
+    if over_db < _LEAST_OVER_ECHOES_DB:
+        warnings.append(
+            f"carrier steps: the reference is {over_db:.1f} dB above the strongest echo (expected "
+            f"{_LEAST_OVER_ECHOES_DB:g} dB or more): phases of steps, and with them echoes and "
+            "ranges, may be wrong"
+        )
+    late = stitched.late_samples
+    if len(late) > 1 and np.ptp(late) <= 1 and np.abs(late).min() > 0:
+        warnings.append(
+            f"carrier steps: the strongest path arrives {np.median(late):.0f} samples after the "
+            "reference in every step: unless the receiver was late in each, it is an echo, and "
+            "echoes and ranges are wrong"
+        )
+    return warnings
 
 
 def range_per_rate_s(carriers_hz: Array, step_times_s: Array) -> float:
@@ -119,6 +168,18 @@ def range_per_rate_s(carriers_hz: Array, step_times_s: Array) -> float:
     f, t = carriers_hz - carriers_hz.mean(), step_times_s - step_times_s.mean()
     spread = float(f @ f)
     return float(carriers_hz.mean() * (f @ t) / spread) if spread else 0.0
+
+
+def scatter_per_rate(carriers_hz: Array, step_times_s: Array, waveform: OfdmWaveform) -> float:
+    """Phase errors over the wide band, rms, rad for each m/s of an echo's range rate: what carrier
+    steps leave of its motion beside a shift in range. They smear it over ranges, as side lobes.
+    """
+    f = (carriers_hz[:, None] + waveform.frequency_offsets_hz).ravel()
+    t = np.repeat(step_times_s - step_times_s.mean(), waveform.n_subcarriers)
+    phase = 4 * np.pi / C_M_PER_S * f * t
+    off = f - f.mean()
+    spread = float(off @ off)
+    return float(np.std(phase - off * (off @ phase / spread))) if spread else 0.0
 
 
 def _wideband_waveform(waveform: OfdmWaveform, carriers: Array) -> OfdmWaveform:

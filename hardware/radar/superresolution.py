@@ -4,24 +4,63 @@ The strongest target is searched, all targets are fitted together by least squar
 and amplitudes), their sum is subtracted, and the residual is searched again until it is noise
 (Mamandipoor, Ramasamy and Madhow, IEEE Trans. Signal Process. 64, 2016, doi
 10.1109/TSP.2016.2580523). No window is used: it would cost resolution, and the fit has no side
-lobes.
+lobes. Targets without which the others explain as much are then left out again.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
-from hardware.radar.measurement import EchoMeasurement, echo_measurement
-from hardware.radar.refinement import Blocks, blocks_about, unit_echoes
+from hardware.radar.joint_fit import JointFit, JointModel
+from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
+from hardware.radar.refinement import blocks_about, residual_cells
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
 _CLOSEST = 0.3  # cells
 _BESIDE, _MOST_BESIDE = 8.0, 4  # cells, and number, of other echoes that are fitted with an echo
+_LINKED = 12.0  # cells between echoes that are split together: two reaches, and their side lobes
+_FAR, _MOST_TOGETHER = 16.0, 8  # cells from the first, and number, of echoes split together
+_NONE = np.zeros((0, 2))
+_ROUNDS = 3  # in which groups are split, since one may hide targets whose side lobes reach others
+
+
+def split_targets(
+    echoes: Sequence[EchoMeasurement],
+    channel: Complex,
+    waveform: OfdmWaveform,
+    noise_w: float,
+    false_alarm: float,
+) -> list[EchoMeasurement]:
+    """Echoes of the targets that each consists of, with its alternative rates.
+
+    Echoes near each other are split together: each may hide targets that the others' side lobes
+    contain.
+    """
+    groups = _groups(echoes, waveform)
+    parts = [list(group) for group in groups]
+
+    beside = [-1] * len(groups)  # number of other targets when a group was split
+    for i in [*range(len(groups))] * _ROUNDS:
+        others = [part for j, some in enumerate(parts) if j != i for part in some]
+        if len(others) == beside[i]:
+            continue
+        beside[i] = len(others)
+        parts[i] = resolve(
+            channel,
+            waveform,
+            groups[i][0],
+            noise_w,
+            false_alarm=false_alarm,
+            together=groups[i][1:],
+            others=others,
+        )
+    return without_duplicates([part for some in parts for part in some], waveform, folded=False)
 
 
 def resolve(
@@ -31,8 +70,9 @@ def resolve(
     noise_w: float,
     *,
     false_alarm: float = 1e-6,
-    reach: float = 3.0,
+    reach: float = 4.0,
     at_most: int = 4,
+    together: Sequence[EchoMeasurement] = (),
     others: Sequence[EchoMeasurement] = (),
 ) -> list[EchoMeasurement]:
     """Split an echo into those of the targets that it consists of, nearest first.
@@ -48,47 +88,130 @@ def resolve(
     false_alarm
         Probability of a false target per cell searched.
     reach
-        Cells searched to each side in delay, and a third of it in rate.
+        Cells searched to each side in delay and in rate, of the echo and of each target that is
+        found: the main lobe of a window.
     at_most
-        Largest number of targets.
+        Largest number of targets for each echo that is split.
+    together
+        Echoes near it that are split with it.
     others
         Echoes elsewhere, whose side lobes are fitted as well; of the nearest ones also the places,
         which were measured in the side lobes of this echo.
+
+    Standard errors are those of the joint fit, in the noise that it leaves around each target.
 
     Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
     model, which is 60 dB and more below a target because of single precision and the blocks.
     """
     place = np.array([echo.delay_s]), np.array([echo.delay_rate])
     (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
-    reached = reach, max(reach / 3, 1.0)
-    beside, fixed = _nearest(_steps_of(others, blocks))
-    known = unit_echoes(blocks, fixed)
-    every = np.concatenate([unit_echoes(blocks, beside), known])
-    rest = blocks.sums - _fit_amplitudes(every, blocks.sums)[1]
-    steps = np.zeros((0, 2))
-    amplitudes = np.zeros((0, len(blocks.sums)), dtype=np.complex128)
-    while len(steps) < at_most:
-        power, step = _strongest(rest, blocks, reached)
-        if power * len(rest) <= noise_w * _threshold(false_alarm, len(rest)):
-            break
-        fitted = _least_squares_fit(np.vstack([steps, step, beside]), blocks, known)
-        candidate = fitted[: len(steps) + 1]
-        if (
-            _closest(np.vstack([fitted, fixed])) < _CLOSEST
-            or np.abs(candidate[:, 0]).max() > reach + 1
-        ):
-            break
-        steps, beside = candidate, fitted[len(candidate) :]
-        every, explained = _fit_amplitudes(
-            np.concatenate([unit_echoes(blocks, fitted), known]), blocks.sums
-        )
-        amplitudes, rest = every[: len(steps)], blocks.sums - explained
-    noise = ChannelNoise.white(len(blocks.sums), noise_w)
-    parts = [
-        echo_measurement(blocks, step, amplitude, waveform, noise_w, "boxcar", noise)
-        for step, amplitude in zip(steps, amplitudes, strict=True)
-    ]
+    split = [echo, *together]
+    middle = np.array([blocks.delay_s, blocks.delay_rate])
+    middles = _steps_of(split, middle, blocks.grid.cell)
+    beside, fixed = _nearest(_steps_of(others, middle, blocks.grid.cell))
+    least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
+    search = _Search(JointModel(blocks, fixed), middles, beside, reach, least_w)
+    fit = search.without_needless(search.targets(at_most * len(split)))
+    parts = []
+    for i in range(len(search.targets_of(fit))):
+        part = _measurement(search.model, fit, i, waveform, noise_w)
+        nearest = split[int(np.argmin(np.abs(middles - fit.places[i]).max(axis=1)))]
+        parts.append(replace(part, delay_rate_alternatives=nearest.delay_rate_alternatives))
     return sorted(parts, key=lambda part: part.delay_s)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Search for targets of which echoes at ``middles`` (n, 2) consist.
+
+    ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
+    the middles and around targets that are found; ``least_w``: mean power over channels of a target
+    that is not noise.
+    """
+
+    model: JointModel
+    middles: Array
+    beside: Array
+    reach: float
+    least_w: float
+
+    def targets(self, at_most: int) -> JointFit:
+        """Targets added one by one, the strongest first, until noise is left."""
+        fit, barred = self.model.refined(self.beside), _NONE
+        for _ in range(2 * at_most):
+            power, place = self.strongest(fit, barred)
+            if power <= self.least_w or len(self.targets_of(fit)) == at_most:
+                break
+            more = self.model.refined(np.vstack([place, fit.places]))
+            if _closest(np.vstack([more.places, self.model.fixed])) < _CLOSEST:
+                break
+            if self.are_of_these(self.targets_of(more)):
+                fit = more
+            else:
+                barred = np.vstack([barred, place])
+        return fit
+
+    def targets_of(self, fit: JointFit) -> Array:
+        """Places (n, 2) of a fit without those of other echoes."""
+        return fit.places[: len(fit.places) - len(self.beside)]
+
+    def are_of_these(self, places: Array) -> bool:
+        """Whether places (n, 2) are nearer to what is split than to echoes elsewhere."""
+        away = [
+            np.abs(places[:, None] - echoes).max(axis=-1).min(axis=1, initial=np.inf)
+            for echoes in (self.middles, np.vstack([self.beside, self.model.fixed]))
+        ]
+        return bool((away[0] <= away[1]).all())
+
+    def without_needless(self, fit: JointFit) -> JointFit:
+        """The fit without targets that leave no more of a target where they are left out."""
+        n_targets = len(self.targets_of(fit))
+        if n_targets < 2:
+            return fit
+        most = max(self.least_w, self.strongest(fit)[0])
+        for i in np.argsort(np.sum(np.abs(fit.amplitudes[:n_targets]) ** 2, axis=1), kind="stable"):
+            fewer = self.model.refined(np.delete(fit.places, i, axis=0))
+            if self.strongest(fewer)[0] <= most:
+                return self.without_needless(fewer)
+        return fit
+
+    def strongest(self, fit: JointFit, barred: Array = _NONE) -> tuple[float, Array]:
+        """Mean power over channels, and cells (2,), of the highest point of the residual, not
+        within a cell of places ``barred`` (n, 2).
+        """
+        grid = self.model.blocks.grid
+        centres = np.vstack([self.middles, self.targets_of(fit)])
+        axes = [_eighths(at, self.reach) for at in centres.T]
+        across = np.exp(1j * np.outer(axes[0], grid.by_delay))
+        along = np.exp(1j * np.outer(grid.by_rate, axes[1]))
+        rest = self.model.residual_sums(fit)
+        power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
+        inside = _within(axes, centres, self.reach) & ~_within(axes, barred, 1.0)
+        power = np.where(inside, power, 0.0)
+        row, column = np.unravel_index(np.argmax(power), power.shape)
+        return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
+
+
+def _measurement(
+    model: JointModel, fit: JointFit, i: int, waveform: OfdmWaveform, noise_w: float
+) -> EchoMeasurement:
+    """One target of a fit, with the standard errors of all in the noise around it."""
+    blocks = model.blocks
+    beside = np.vstack([np.delete(fit.places, i, axis=0), model.fixed])
+    around = residual_cells(blocks, fit.places[i], beside=beside)
+    noise = ChannelNoise.of_cells(around, noise_w)
+    own = noise.scaled(float(fit.gram[i, i].real))  # of its amplitudes, beside the others
+    amplitude = fit.amplitudes[i]
+    part = echo_measurement(blocks, fit.places[i], amplitude, waveform, noise_w, "boxcar", own)
+    power_w = noise.along(amplitude)
+    errors = np.sqrt(power_w * np.diag(fit.covariance)[2 * i : 2 * i + 2]) * blocks.grid.cell
+    by_place_w = np.sqrt(power_w * fit.power_variance(i))
+    return replace(
+        part,
+        delay_error_s=float(np.where(np.isnan(part.delay_error_s), np.nan, errors[0])),
+        delay_rate_error=float(np.where(np.isnan(part.delay_rate_error), np.nan, errors[1])),
+        power_error_w=float(np.hypot(part.power_error_w, by_place_w)),
+    )
 
 
 def _threshold(false_alarm: float, n_channels: int) -> float:
@@ -103,24 +226,41 @@ def _threshold(false_alarm: float, n_channels: int) -> float:
     return float(gammainccinv(n_channels, false_alarm / (np.pi / 3 * -np.log(false_alarm))))
 
 
-def _strongest(
-    rest: NDArray[np.complex128], blocks: Blocks, reach: tuple[float, float]
-) -> tuple[float, Array]:
-    """Mean power over channels, and cells (2,), of the highest point of a grid of eighths."""
-    axes = [np.linspace(-r, r, int(16 * r) + 1) for r in reach]
-    across = np.exp(1j * np.outer(axes[0], blocks.grid.by_delay))
-    along = np.exp(1j * np.outer(blocks.grid.by_rate, axes[1]))
-    power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
-    row, column = np.unravel_index(np.argmax(power), power.shape)
-    return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
+def _groups(
+    echoes: Sequence[EchoMeasurement], waveform: OfdmWaveform
+) -> list[list[EchoMeasurement]]:
+    """Each echo that is in no group yet with those that follow each other near it."""
+    groups, waiting = list[list[EchoMeasurement]](), list(echoes)
+    cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
+    while waiting:
+        steps = _steps_of(waiting, np.nan_to_num([waiting[0].delay_s, waiting[0].delay_rate]), cell)
+        order = np.argsort(np.abs(steps).max(axis=1), kind="stable")
+        near = [0]
+        for i in order[1:]:
+            apart = np.abs(steps[near] - steps[i]).max(axis=1).min()
+            if len(near) < _MOST_TOGETHER and apart <= _LINKED and np.abs(steps[i]).max() <= _FAR:
+                near.append(int(i))
+        groups.append([waiting[i] for i in near])
+        waiting = [echo for i, echo in enumerate(waiting) if i not in near]
+    return groups
 
 
-def _steps_of(others: Sequence[EchoMeasurement], blocks: Blocks) -> Array:
-    """Cells (n, 2) from the middle of blocks to other echoes."""
-    delay = np.array([echo.delay_s for echo in others])
-    rate = np.array([echo.delay_rate for echo in others])
-    off = np.stack([delay - blocks.delay_s, rate - blocks.delay_rate], axis=-1)
-    return np.nan_to_num(off / blocks.grid.cell)  # NaN is not measured
+def _eighths(centres: Array, reach: float) -> Array:
+    """A grid of eighths of a cell over all within ``reach`` of places on an axis."""
+    low, high = centres.min() - reach, centres.max() + reach
+    return np.linspace(low, high, int(8 * (high - low)) + 1)
+
+
+def _within(axes: Sequence[Array], centres: Array, reach: float) -> NDArray[np.bool_]:
+    """Cells (n, m) of two axes (n,) and (m,) within ``reach`` of one of the places (k, 2)."""
+    near = [np.abs(axis[:, None] - at) <= reach for axis, at in zip(axes, centres.T, strict=True)]
+    return np.asarray((near[0][:, None] & near[1]).any(axis=-1))
+
+
+def _steps_of(echoes: Sequence[EchoMeasurement], middle: Array, cell: Array) -> Array:
+    """Cells (n, 2) from a delay and a rate (2,) to echoes."""
+    places = np.array([(echo.delay_s, echo.delay_rate) for echo in echoes]).reshape(-1, 2)
+    return np.nan_to_num((places - middle) / cell)  # NaN is not measured
 
 
 def _nearest(steps: Array) -> tuple[Array, Array]:
@@ -135,26 +275,3 @@ def _closest(steps: Array) -> float:
     """Least distance of two, in cells along the axis on which they are farther apart."""
     apart = np.abs(steps[:, None] - steps).max(axis=-1)
     return float(apart[np.triu_indices(len(steps), 1)].min(initial=np.inf))
-
-
-def _fit_amplitudes(
-    atoms: NDArray[np.complex128], sums: NDArray[np.complex128]
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Least squares: amplitudes (n_targets, n_channels), and their sum (n_channels, n_f, n_t)."""
-    flat = atoms.reshape(len(atoms), sums[0].size).T
-    amplitudes = np.linalg.lstsq(flat, sums.reshape(len(sums), -1).T, rcond=None)[0]
-    return np.asarray(amplitudes), np.asarray((flat @ amplitudes).T).reshape(sums.shape)
-
-
-def _least_squares_fit(start: Array, blocks: Blocks, known: NDArray[np.complex128]) -> Array:
-    """Cells (n_targets, 2) of all targets together by least squares, amplitudes projected out."""
-    from scipy.optimize import least_squares
-
-    scale = np.linalg.norm(blocks.sums) or 1.0
-
-    def misfit(flat: Array) -> Array:
-        atoms = np.concatenate([unit_echoes(blocks, flat.reshape(-1, 2)), known])
-        rest = (blocks.sums - _fit_amplitudes(atoms, blocks.sums)[1]).ravel() / scale
-        return np.concatenate([rest.real, rest.imag])
-
-    return np.asarray(least_squares(misfit, start.ravel(), xtol=1e-6).x).reshape(-1, 2)

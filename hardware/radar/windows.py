@@ -13,6 +13,14 @@ Array = NDArray[np.float64]
 _COSINES = (0.35875, 0.48829, 0.14128, 0.01168)
 
 
+def check_window(window: object) -> None:
+    """Raise InputError unless it is a window's name."""
+    if not isinstance(window, str):
+        raise InputError(
+            f"window: {window!r:.60}, expected a name that scipy.signal.get_window knows"
+        )
+
+
 @lru_cache(maxsize=64)
 def normalised_window(name: str, size: int) -> Array:
     """Window of mean 1: peaks keep their power, noise increases by the mean square. Read-only.

@@ -52,7 +52,10 @@ class RadarRecord(Described):
     pose: tuple[QuaternionPose, ...]
 
     def __post_init__(self) -> None:
-        container.check_types(self, front_end=RadarFrontEnd)
+        arrays = {"iq": np.ndarray, "carriers_hz": np.ndarray}
+        container.check_types(
+            self, front_end=RadarFrontEnd, waveform=OfdmWaveform, device=str, **arrays
+        )
         container.check_tuples(self, pose=QuaternionPose)
         wave, end = self.waveform, self.front_end
         n_bursts, n_steps = len(self.iq), len(self.carriers_hz)

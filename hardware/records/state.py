@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hardware.errors import InputError
+from hardware.errors import InputError, check_finite, check_positive
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -115,6 +115,10 @@ def _origin() -> Array:
     return np.zeros((1, 3))
 
 
+#: Calibration beyond which a number is none.
+_LARGEST = {"antenna_gain_dbi": 1000.0, "losses_db": 1000.0, "leakage_delay_s": 1.0}
+
+
 @dataclass(frozen=True, eq=False)
 class RadarFrontEnd:
     """A radar between its antennas and its counts, as calibration and mounting tell it.
@@ -132,7 +136,8 @@ class RadarFrontEnd:
     leakage_delay_s
         Of the direct way from transmitter to receiver, by calibration; NaN when unknown.
     transmitters_m, receivers_m : (n_transmitters, 3), (n_receivers, 3) float64
-        Phase centres in the antenna's frame: x ahead, y left, z up.
+        Phase centres in the antenna's frame: x ahead, y left, z up. Ranges are measured from the
+        middle of them, see `Detection`.
     """
 
     root_watt_per_count: float
@@ -146,17 +151,16 @@ class RadarFrontEnd:
     def __post_init__(self) -> None:
         for name in ("transmitters_m", "receivers_m"):
             places = getattr(self, name)
-            if places.shape != (len(places), 3):
-                raise InputError(f"{name}: shape {places.shape}, expected ({len(places)}, 3)")
+            if not isinstance(places, np.ndarray) or places.ndim != 2 or places.shape[1] != 3:
+                raise InputError(f"{name}: {places!r:.60}, expected an array (n, 3)")
             if not np.isfinite(places).all():
                 raise InputError(f"{name}: a value is no number")
         for name in ("antenna_gain_dbi", "losses_db", "leakage_delay_s"):
             value = getattr(self, name)
             # A pattern may have a null ahead.
-            is_null = name == "antenna_gain_dbi" and value == -math.inf
-            if math.isinf(value) and not is_null:
-                raise InputError(f"{name}: {value}, expected a finite number, or NaN if unknown")
+            is_null = name == "antenna_gain_dbi" and isinstance(value, float) and value == -math.inf
+            is_unknown = isinstance(value, float) and math.isnan(value)
+            if not is_null and not is_unknown:
+                check_finite(name, value, _LARGEST[name])
         for name in ("root_watt_per_count", "transmit_power_w"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name}: {value} is not a positive number")
+            check_positive(name, getattr(self, name))

@@ -12,7 +12,7 @@ from hardware.radar import Cfar
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
 from hardware.radar.process import Processing, process
-from hardware.radar.stitching import range_per_rate_s, stitch
+from hardware.radar.stitching import range_per_rate_s, scatter_per_rate, stitch
 from hardware.records import Flag
 
 LEAK = (1e-7, 1.1e-9)
@@ -83,6 +83,41 @@ def test_steps_in_random_order_shift_little() -> None:
     shuffled = [range_per_rate_s(rng.permutation(CARRIERS), times) for _ in range(400)]
     assert np.sqrt(np.mean(np.square(shuffled))) == pytest.approx(due / np.sqrt(24), rel=0.15)
     assert range_per_rate_s(CARRIERS[:1], times[:1]) == 0
+
+
+def _of_steps(leakage_w: float, rate_m_per_s: float = 0.0, order=slice(None)) -> tuple[str, ...]:
+    """Warnings of 8 steps and an echo of 1e-9 W."""
+    carriers = CARRIERS[:8][order]
+    echo = Echo((6.0, 0, 0), velocity_m_per_s=(rate_m_per_s, 0, 0))
+    wave = replace(STEP, carrier_hz=float(carriers[0]))
+    leakage = (leakage_w, LEAK[1]) if leakage_w else None
+    record = cube(wave, [echo], carriers_hz=carriers, leakage=leakage, noise_w=1e-11)
+    end = replace(record.front_end, leakage_delay_s=LEAK[1])
+    how = Processing(window="hann", cfar=Cfar(1e-6, guard=(3, 0)))
+    return process(replace(record, front_end=end), 0, how).warnings
+
+
+@pytest.mark.parametrize("leakage_w", [0.0, 1e-11, 1e-10, 1e-9])
+def test_a_reference_below_an_echo_is_warned_of(leakage_w: float) -> None:
+    """The echo is taken for it: its phases, or the delay of the receiver. 20 dB above is enough."""
+    assert any(
+        "reference is" in line or "unless the receiver was late" in line
+        for line in _of_steps(leakage_w)
+    )
+    assert not any("reference" in line for line in _of_steps(1e-7))
+
+
+def test_side_lobes_and_smear_of_moving_echoes_are_warned_of() -> None:
+    """Between steps in random order a moving echo has side lobes all over. One after the other a
+    stair is left of its phase, of steps of 4 pi fc dt / c for each m/s: rms that over sqrt(12).
+    """
+    moving = _of_steps(1e-7, 12.0, np.random.default_rng(0).permutation(8))
+    assert any("smear over ranges" in line for line in moving)
+    assert any("may be side lobes of stronger ones that move" in line for line in moving)
+    times, high = 1e-3 * np.arange(25), CARRIERS + 77e9
+    stair = 4 * np.pi * high.mean() / 299_792_458 * 1e-3 / np.sqrt(12)
+    assert scatter_per_rate(high, times, STEP) == pytest.approx(stair, rel=0.01)
+    assert scatter_per_rate(CARRIERS[:1], times[:1], STEP) == 0
 
 
 @pytest.mark.parametrize(

@@ -268,7 +268,10 @@ def test_setup_survives_its_file(tmp_path) -> None:
         (lambda c: c.pop("schedule"), "'schedule' is missing"),
         (lambda c: c["schedule"].update(step_period_s="x"), "step_period_s: 'x' is not a number"),
         (lambda c: c["front_end"].update(colour=1), "unexpected keyword argument 'colour'"),
-        (lambda c: c["schedule"]["waveform"].update(n_slots=0), "n_slots: 0 is less than 1"),
+        (
+            lambda c: c["schedule"]["waveform"].update(n_slots=0),
+            "n_slots: 0, expected a whole number from 1 on",
+        ),
     ],
 )
 def test_broken_setup_is_refused(tmp_path, change, says: str) -> None:

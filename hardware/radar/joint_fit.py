@@ -1,0 +1,155 @@
+"""Several echoes fitted together: delays, rates and amplitudes by least squares.
+
+The amplitudes are projected out (variable projection, Golub and Pereyra, Inverse Problems 19, 2003,
+doi 10.1088/0266-5611/19/2/201); the places follow by the method of Levenberg and Marquardt. The
+normal matrix at the solution is the Fisher information of the places.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.refinement import APART, Blocks, unit_echoes
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_STEPS = 30  # at most
+_STILL = 1e-5  # cells: the smallest step
+_FARTHEST = 0.5  # cells: the largest step
+
+
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """Block sums, and echoes at fixed places ``fixed`` (n, 2) that are fitted in amplitude alone.
+
+    Blocks are weighted to equal noise. Places are cells from the middle of the blocks.
+    """
+
+    blocks: Blocks
+    fixed: Array
+
+    @cached_property
+    def weights(self) -> Array:
+        """Root of each block's share of all samples (n_f, n_t)."""
+        grid = self.blocks.grid
+        counts = np.outer(grid.count_f, grid.count_t)
+        return np.asarray(np.sqrt(counts / counts.sum()))
+
+    @cached_property
+    def sums(self) -> Complex:
+        """Weighted sums (n_channels, n_blocks) without the fixed echoes."""
+        flat = (self.blocks.sums / self.weights).reshape(len(self.blocks.sums), -1)
+        return _without(flat, self._known)
+
+    def echoes(self, places: Array) -> Complex:
+        """Weighted sums (n, n_blocks) of echoes of unit amplitude, without the fixed echoes."""
+        return _without(self._unit(places), self._known)
+
+    def fit(self, places: Array) -> "JointFit":
+        """The echoes at these places (n, 2), amplitudes fitted."""
+        around = places[:, None] + APART * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        echoes = self.echoes(around.reshape(-1, 2)).reshape(len(places), 5, self.sums.shape[1])
+        basis, triangle = np.linalg.qr(echoes[:, 0].T)
+        changes = (echoes[:, 1::2] - echoes[:, 2::2]).reshape(-1, self.weights.size) / (2 * APART)
+        inverse = np.linalg.pinv(triangle)
+        along = self.sums @ basis.conj()
+        return JointFit(
+            places=places,
+            amplitudes=inverse @ along.T,
+            residual=self.sums - along @ basis.T,
+            changes=changes - (changes @ basis.conj()) @ basis.T,
+            along=inverse @ (basis.conj().T @ changes.T),
+            gram=inverse @ inverse.conj().T,
+        )
+
+    def refined(self, places: Array) -> "JointFit":
+        """The echoes at the places of least squares that are reached from these."""
+        best, damping = self.fit(places), 1e-3
+        for _ in range(_STEPS if len(places) else 0):
+            step = best.step(damping)
+            moved = self.fit(best.places + np.clip(step, -_FARTHEST, _FARTHEST))
+            if moved.misfit < best.misfit:
+                best, damping = moved, damping / 10
+            else:
+                damping *= 10
+            if np.abs(step).max() < _STILL:
+                break
+        return best
+
+    def residual_sums(self, fit: "JointFit") -> Complex:
+        """What a fit leaves of the block sums (n_channels, n_f, n_t)."""
+        return np.asarray(fit.residual.reshape(self.blocks.sums.shape) * self.weights)
+
+    @cached_property
+    def _known(self) -> Complex:
+        return np.asarray(np.linalg.qr(self._unit(self.fixed).T)[0])
+
+    def _unit(self, places: Array) -> Complex:
+        return (unit_echoes(self.blocks, places) / self.weights).reshape(
+            len(places), self.weights.size
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Echoes at ``places`` (n, 2) with their ``amplitudes`` (n, n_channels), and the weighted
+    ``residual`` (n_channels, n_blocks).
+
+    ``changes`` (2 n, n_blocks): of the echoes by cell of delay and of rate, what amplitudes do not
+    follow; ``along`` (n, 2 n): what they do. ``gram`` (n, n): variance and covariance of the
+    amplitudes at known places, over that of one echo alone.
+    """
+
+    places: Array
+    amplitudes: Complex
+    residual: Complex
+    changes: Complex
+    along: Complex
+    gram: Complex
+
+    @cached_property
+    def misfit(self) -> float:
+        """Energy of the residual."""
+        return float(np.vdot(self.residual, self.residual).real)
+
+    @cached_property
+    def information(self) -> Array:
+        """Fisher information of the places (2 n, 2 n), times half the noise of a cell."""
+        return np.asarray(((self._by_axis.conj() @ self._by_axis.T) * self._products.T).real)
+
+    def step(self, damping: float) -> Array:
+        """Step of the places (n, 2) towards the least misfit."""
+        slope = np.sum(self._by_axis.conj() * (self.changes.conj() @ self.residual.T), axis=1).real
+        diagonal = np.diag(self.information)
+        floor = 1e-12 * diagonal.max(initial=0.0) or 1.0  # an axis of one sample tells nothing
+        system = self.information + np.diag(damping * diagonal + floor)
+        return np.asarray(np.linalg.solve(system, slope)).reshape(-1, 2)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the places (2 n, 2 n), in cells, for noise of 1 in a cell."""
+        return np.asarray(0.5 * np.linalg.pinv(self.information, rcond=1e-12, hermitian=True))
+
+    def power_variance(self, echo: int) -> float:
+        """Of the mean power of an echo over channels by errors of the places, for noise of 1."""
+        slope = -2 * np.mean(
+            (self.amplitudes[echo].conj() * self.along[echo][:, None] * self._by_axis).real, axis=1
+        )
+        return float(slope @ self.covariance @ slope)
+
+    @property
+    def _by_axis(self) -> Complex:
+        """Amplitudes (2 n, n_channels) of the echo that moves along each axis."""
+        return np.repeat(self.amplitudes, 2, axis=0)
+
+    @cached_property
+    def _products(self) -> Complex:
+        return np.asarray(self.changes @ self.changes.conj().T)
+
+
+def _without(rows: Complex, basis: Complex) -> Complex:
+    """Rows (n, n_blocks) projected out of an orthonormal basis (n_blocks, n_basis)."""
+    return np.asarray(rows - (rows @ basis.conj()) @ basis.T)

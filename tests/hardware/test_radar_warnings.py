@@ -1,0 +1,46 @@
+"""What processing a record cannot do, and says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from radar_cubes import HALF, WIDE, Echo, cube
+
+from hardware import Cfar, Processing, process
+
+SMALL = replace(WIDE, n_subcarriers=13, n_slots=13)
+
+
+def test_a_map_that_guard_cells_cover_is_warned_of() -> None:
+    """13 cells hold one cell and 6 to each side; with a guard of 3 the echo is detected."""
+    record = cube(SMALL, [Echo((0.3, 0, 0))], noise_w=1e-12)
+    frame = process(record)
+    assert not frame.detections
+    (told,) = frame.warnings
+    assert "nothing can be detected on a map of 13 x 13 cells" in told
+    smaller = process(record, 0, Processing(cfar=Cfar(1e-4, guard=(3, 3))))
+    assert len(smaller.detections) == 1
+    assert not smaller.warnings
+
+
+def test_flags_of_unknown_meaning_are_warned_of() -> None:
+    record = cube(SMALL, [Echo((0.3, 0, 0))])
+    flags = record.flags.copy()
+    flags[0, 0, [2, 5]] = 16
+    (told, *_) = process(replace(record, flags=flags)).warnings
+    assert "flags of 2 slots hold bits of unknown meaning (16), which are ignored" in told
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.4])
+def test_ranges_are_those_from_the_middle_of_the_phase_centres(off_m: float) -> None:
+    """Receivers 0.4 m to the left: the middle is 0.2 m to the left, and an echo on the left nearer
+    to it, by 111 mm.
+    """
+    receivers = np.array([[0, i * HALF + off_m, 0] for i in range(-2, 3)])
+    place = np.array([6.0, 4.0, 0.0])
+    record = cube(WIDE, [Echo(tuple(place))], receivers_m=receivers, noise_w=1e-12)
+    (found,) = process(record).detections
+    ways = np.linalg.norm(place - receivers, axis=1) + np.linalg.norm(place)
+    assert found.range_m == pytest.approx(ways.mean() / 2, abs=4 * found.range_error_m + 2e-5)
+    middle = np.array([0, off_m / 2, 0])
+    assert found.range_m == pytest.approx(np.linalg.norm(place - middle), abs=5e-3)
