@@ -20,7 +20,7 @@ from twin.camera.illumination import (
 )
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
-from twin.detector.flicker import in_image
+from twin.detector.flicker import ExposureTimes, in_image
 from twin.detector.interface import check_detector, checked_exposure
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
@@ -271,12 +271,15 @@ class Chain:
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
         budget = self.front_end.noise_budget(signal_w, sun_w, relative)
-        return budget if self.has_own_detector else in_image(budget, self.patterns)
+        times = self.exposure_times
+        return in_image(budget, self.patterns, times) if times else budget
 
     @property
-    def has_own_detector(self) -> bool:
-        """Whether the detector is a user's own, whose budget is taken as it is."""
-        return not isinstance(self.front_end, FrontEnd)
+    def exposure_times(self) -> ExposureTimes | None:
+        """Of the bundled detector, for its 1/f noise; None of a user's own, whose budget is taken
+        as it is.
+        """
+        return self.front_end.times if isinstance(self.front_end, FrontEnd) else None
 
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.
