@@ -12,10 +12,12 @@ from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.illumination import (
+    amplifier_keeps,
     amplifier_residue,
     frame_signal,
     mean_signal,
     residual_share,
+    settled,
     switched_residue,
 )
 from twin.camera.shutters import ShutterResponse, shutters
@@ -254,7 +256,7 @@ class Chain:
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
     def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
-        """These powers behind the amplifier, whose pole carries a share of each into the next."""
+        """These powers behind the amplifier, whose pole carries a share of each into later ones."""
         alone = amplifier_residue(self.system)
         if not alone:
             return exposed_w
@@ -263,7 +265,8 @@ class Chain:
         both = switched_residue(self.system)
         left_over[:: len(self.shutters)] = (both - of_light) / (1 - of_light)
         dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
-        before = np.concatenate([dark_w[None], exposed_w[:-1]])
+        output = settled(exposed_w, amplifier_keeps(self.system), dark_w)
+        before = np.concatenate([dark_w[None], output[:-1]])
         return exposed_w + left_over * (before - exposed_w)
 
     def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
