@@ -22,6 +22,7 @@ from hardware.reconstruction.motion.compensated import (
 from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.noise import finest_patterns
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
@@ -184,8 +185,8 @@ def reconstruct(
         cells, error = _solved(solve, measured.values, variance, sensing)
         if error is not None and (most > variance).any():
             error = _solved(solve, measured.values, most, sensing)[1]
-    if error is not None and received.patterns.mode == "reference":
-        error = np.hypot(error, _error_of_the_references(most, sensing))
+    if error is not None:
+        error = np.hypot(error, _error_of_the_constant(most, sensing))
     if not sensing.measures_level and error is not None:
         error = np.hypot(error, measured.most_level)
     if error is not None:
@@ -237,14 +238,25 @@ def _compensated(
     return cells, None, told
 
 
-def _error_of_the_references(variance: Array, sensing: Sensing) -> Array:
-    """What the noise of the two reference exposures adds, ``(n_cells, n_detectors)``.
+def _error_of_the_constant(variance: Array, sensing: Sensing) -> Array:
+    """What the noise of the constant that is taken from all values adds, ``(n_cells, n_detectors)``
+    or 0: through the plain inverse all of it meets the cells on which all patterns agree.
 
-    One constant in all values, of half their variance, through the plain inverse: all of it meets
-    the cells on which all patterns agree.
+    Of two references it is half the variance of a value; of plain sets and S-matrices that of the
+    mean of the finest values, in which each of them is itself.
     """
+    patterns = sensing.patterns
+    if not isinstance(patterns, PatternSet) or patterns.mode in ("differential", "complementary"):
+        return np.zeros((1, 1))
     constant = sensing.adjoint(np.ones(sensing.count)) / sensing.largest_squared
-    return np.asarray(np.abs(constant)[:, None] * np.sqrt(variance / 2))
+    of_value = constant**2 / 2
+    if patterns.mode != "reference":
+        finest = finest_patterns(patterns)
+        share = np.zeros(sensing.count)
+        share[finest] = 1 / max(finest.size, 1)
+        own = sensing.adjoint(share) / sensing.largest_squared
+        of_value = np.maximum(constant**2 / max(finest.size, 1) - 2 * constant * own, 0.0)
+    return np.asarray(np.sqrt(of_value)[:, None] * np.sqrt(variance))
 
 
 def _flagged(record: SpiRecord) -> Iterator[str]:

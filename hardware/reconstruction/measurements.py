@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan, fwht
-from hardware.reconstruction.noise import finest_patterns, noise_beside_detail, noise_of_sums
+from hardware.reconstruction.noise import (
+    finest_patterns,
+    most_scatter,
+    noise_beside_detail,
+    noise_of_sums,
+)
 from hardware.reconstruction.scanning import scanned_cells
 from hardware.records import SpiRecord
 
@@ -87,10 +92,10 @@ def measurements(record: SpiRecord) -> Measurements:
 
     Reference, plain and S-matrix sets show nothing twice. What tells noise from detail is then
     their spectra (`hardware.reconstruction.noise.noise_beside_detail`), and the scatter of the
-    finest patterns is the most that noise can be. Scenes may be as flat as noise: a single bright
-    cell, a checkerboard. So a full set is smoothed only by noise that its photons explain
-    (`MOST_OVER_PHOTONS`); what is more stays in the image. The finest patterns of a subset hold
-    detail whose amount is unknown: its noise is never told.
+    finest patterns is the most that noise can be (`hardware.reconstruction.noise.most_scatter`).
+    Scenes may be as flat as noise: a single bright cell, a checkerboard. So a full set is smoothed
+    only by noise that its photons explain (`MOST_OVER_PHOTONS`); what is more stays in the image.
+    The finest patterns of a subset hold detail whose amount is unknown: its noise is never told.
 
     A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
     patterns that are shown once do not tell noise from detail: they are smoothed by the photons'
@@ -120,7 +125,7 @@ def measurements(record: SpiRecord) -> Measurements:
         return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level)
     finest = finest_patterns(patterns)
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
-    most = np.maximum(scatter, rounding) if finest.size > 1 else np.full_like(scatter, np.nan)
+    most = np.maximum(most_scatter(values, patterns), rounding)
     noise = noise_beside_detail(values, patterns)
     if full := patterns.count == patterns.n_cells:
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
@@ -138,7 +143,7 @@ def _of_scan(record: SpiRecord, scan: RasterScan) -> Measurements:
     values, finest = fwht(cells), finest_patterns(whole)
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
     rounding = n * record.electrons_per_count**2 / 12
-    most = np.maximum(scatter, rounding) if finest.size > 1 else np.full_like(scatter, np.nan)
+    most = np.maximum(most_scatter(values, whole), rounding)
     noise, photons = noise_beside_detail(values, whole), n * np.maximum(cells.mean(axis=0), 0.0)
     noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
     told = (noise > 0) & np.isfinite(most)

@@ -19,6 +19,9 @@ _LAG = 8
 #: Cin(x), the integral of (1 - cos t) / t from 0 to x: 2 Cin(pi), and at m pairs
 #: 2 Cin(2 m pi) + Cin((2 m + 1) pi) + Cin((2 m - 1) pi) - 2 Cin(pi).
 _IN_PAIR, _SUCCESSIVE, _APART = 3.29655528, 6.03696679, 14.67765865
+#: Of the finest values at least so many tell the most that noise can be: of two alone, 95 % of
+#: errors would lie within 12.7 roots of their variance.
+_LEAST_FINEST = 8
 #: Exponents of the prior's spectrum that detail may have. Amplitudes of natural scenes fall as
 #: f^-0.6 to f^-1.6 (Tolhurst, Tadmor and Chao, Ophthal. Physiol. Opt. 12, 1992), powers of the
 #: 1/f^2 prior by as much; steeper ones are smooth objects.
@@ -66,6 +69,23 @@ def finest_patterns(patterns: PatternSet) -> NDArray[np.intp]:
     """Where the eighth of the patterns stands that carries least of a natural image."""
     order = _fine_to_coarse(patterns)
     return order[: max(2, (patterns.count - 1) // 8)]
+
+
+def most_scatter(values: Array, patterns: PatternSet) -> Array:
+    """The largest variance that the noise in values ``(count, n_images)`` can have,
+    ``(n_images,)``: that of the finest ones, detail and all. NaN where there is only one.
+
+    So few values tell it that 95 % of normal errors lie within 1.96 of its roots as they do within
+    Student's quantile of the roots found.
+    """
+    order = _fine_to_coarse(patterns)
+    finest = order[: max(_LEAST_FINEST, (patterns.count - 1) // 8)]
+    if finest.size < 2:
+        return np.full(values.shape[1], np.nan)
+    from scipy.special import stdtrit  # takes 0.1 s to import
+
+    few = float(stdtrit(finest.size - 1, 0.975)) / 1.96
+    return np.asarray(few**2 * values[finest].var(axis=0, ddof=1))
 
 
 def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:

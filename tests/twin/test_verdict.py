@@ -217,25 +217,32 @@ def test_left_over_light_is_counted(slow: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    "slow", [{"emitter__switching_time_s": 1.0}, {"readout__bandwidth_hz": 500.0}]
+    "slow", [{"emitter__switching_time_s": 0.01}, {"readout__bandwidth_hz": 50.0}]
 )
 def test_a_picture_of_the_exposures_before_is_void(slow: dict[str, float]) -> None:
-    """Nearly all light is the exposure before's: the image is nothing of the scene's."""
+    """Nearly all light is that of exposures before: the image is nothing of the scene's."""
     found = taken("table1", small(**slow))
     assert np.corrcoef(found.cells_e.ravel(), image_of(found).ravel())[0, 1] < 0.5
     assert [w.kind for w in found.verdict.void_because] == ["lag"]
     assert not found.snr.any()
 
 
-@pytest.mark.parametrize("excess", [1.2, 1.23])
+def test_light_that_never_changes_leaves_noise_alone() -> None:
+    """Patterns that are over before the emitter has switched: nothing false either."""
+    found = taken("table1", small(emitter__switching_time_s=1.0))
+    assert found.verdict.snr_median < 1e-3
+    assert [w.kind for w in found.warnings] == ["lag"]
+
+
+@pytest.mark.parametrize(("excess", "switching_s"), [(1.22, 5e-4), (1.23, 4e-4)])
 def test_lag_and_rails_that_hide_the_image_together_are_void(
-    full_scale_ohm: float, excess: float
+    full_scale_ohm: float, excess: float, switching_s: float
 ) -> None:
     """A switching time that alone leaves an SNR of 0.01 and a gain that alone leaves a image:
     with both nothing is above what is false, and SNR 0 is no finding but a void record.
     """
     gain = {"readout__transimpedance_ohm": excess * full_scale_ohm}
-    slow = {"emitter__switching_time_s": 1.6e-4}
+    slow = {"emitter__switching_time_s": switching_s}
     assert not taken("table1", small(**gain)).void
     assert not taken("table1", small(**slow)).void
     found = taken("table1", small(**gain, **slow))

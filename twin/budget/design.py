@@ -6,7 +6,7 @@ that of `wall_power_w`, the noise that of the simulated camera (`noise_budget`).
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,13 +166,14 @@ class _SystemBudget:
         opened = float(np.mean([shutter.open_share for shutter in shutters(self.system)]))
         half = (1 + dark_share(self.system)) / 2 * self.watt(distance_m, reflectance)
         fluctuation = self.system.emitter.intensity_noise
+        front_end = self._front_end(time_s)
         budget = noise_budget(
             np.array([half]),
             opened * reflectance * self.sun_w,
-            self._front_end(time_s),
+            front_end,
             fluctuation.value if fluctuation else 0.0,
         )
-        return in_image(budget, self.system.patterns)
+        return in_image(budget, self.system.patterns, front_end.times)
 
     def snr(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Signal of a cell over noise of a pixel, summed over the shutters."""
@@ -227,12 +228,14 @@ class _SystemBudget:
         return far if far == math.inf or self.fill(far, reflectance) < 1 else math.nan
 
     def _front_end(self, time_s: float | None = None) -> FrontEnd:
-        system = self.system
-        if time_s is not None:
-            exposure = Sourced(value=time_s, assumed="varied")
-            changed = system.acquisition.unchecked_copy({"integration_time_s": exposure})
-            system = system.unchecked_copy({"acquisition": changed})
-        return FrontEnd.of(system, self.responsivity)
+        """Of the system, or of exposures of another length, their period longer in proportion."""
+        front_end = FrontEnd.of(self.system, self.responsivity)
+        if time_s is None:
+            return front_end
+        exposure = Sourced(value=time_s, assumed="varied")
+        changed = self.system.acquisition.unchecked_copy({"integration_time_s": exposure})
+        longer = self.system.unchecked_copy({"acquisition": changed})
+        return replace(FrontEnd.of(longer, self.responsivity), times=front_end.times)
 
 
 def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:

@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from hardware.patterns import RasterScan
 from hardware.reconstruction.gating import bounds, echo
 from twin.camera.chain import Chain, Powers
-from twin.detector import NoiseBudget
 from twin.detector.flicker import by_cell
 
 Array = NDArray[np.float64]
@@ -25,8 +24,10 @@ def cells_noise_e(chain: Chain, power: Powers, signal_w: Array) -> Array:
     patterns, n_shutters = chain.patterns, len(chain.shutters)
     if not isinstance(patterns, RasterScan):
         budgets = chain.noise_by_detector(signal_w, power.sun_w)
-        of_cells = NoiseBudget.cells_noise_e if chain.has_own_detector else by_cell
-        by_shutter = np.array([of_cells(budget, patterns) for budget in budgets])
+        times = chain.exposure_times
+        by_shutter = np.array(
+            [by_cell(b, patterns, times) if times else b.cells_noise_e(patterns) for b in budgets]
+        )
         return np.asarray(np.sqrt(n_shutters) * by_shutter)
     if chain.system.time_of_flight is not None and chain.system.time_of_flight.gate_delays_s:
         return echo_noise(chain, power)[0][None]

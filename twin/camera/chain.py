@@ -12,15 +12,17 @@ from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.illumination import (
+    amplifier_keeps,
     amplifier_residue,
     frame_signal,
     mean_signal,
     residual_share,
+    settled,
     switched_residue,
 )
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
-from twin.detector.flicker import in_image
+from twin.detector.flicker import ExposureTimes, in_image
 from twin.detector.interface import check_detector, checked_exposure
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
@@ -254,7 +256,7 @@ class Chain:
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
     def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
-        """These powers behind the amplifier, whose pole carries a share of each into the next."""
+        """These powers behind the amplifier, whose pole carries a share of each into later ones."""
         alone = amplifier_residue(self.system)
         if not alone:
             return exposed_w
@@ -263,7 +265,8 @@ class Chain:
         both = switched_residue(self.system)
         left_over[:: len(self.shutters)] = (both - of_light) / (1 - of_light)
         dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
-        before = np.concatenate([dark_w[None], exposed_w[:-1]])
+        output = settled(exposed_w, amplifier_keeps(self.system), dark_w)
+        before = np.concatenate([dark_w[None], output[:-1]])
         return exposed_w + left_over * (before - exposed_w)
 
     def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
@@ -271,12 +274,15 @@ class Chain:
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
         budget = self.front_end.noise_budget(signal_w, sun_w, relative)
-        return budget if self.has_own_detector else in_image(budget, self.patterns)
+        times = self.exposure_times
+        return in_image(budget, self.patterns, times) if times else budget
 
     @property
-    def has_own_detector(self) -> bool:
-        """Whether the detector is a user's own, whose budget is taken as it is."""
-        return not isinstance(self.front_end, FrontEnd)
+    def exposure_times(self) -> ExposureTimes | None:
+        """Of the bundled detector, for its 1/f noise; None of a user's own, whose budget is taken
+        as it is.
+        """
+        return self.front_end.times if isinstance(self.front_end, FrontEnd) else None
 
     def noise_by_detector(self, signal_w: Array, sun_w: Array) -> list[NoiseBudget]:
         """Budget of each detector, in one exposure.

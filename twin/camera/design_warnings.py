@@ -62,7 +62,7 @@ def _diffraction(system: System, lens: Collection) -> list[CaptureWarning]:
 
 
 def lag_shares(system: System) -> dict[str, float]:
-    """Share of the preceding exposure in each exposure, by the fields that cause it: each by itself
+    """Share of the exposures before in each exposure, by the fields that cause it: each by itself
     and, where there are two, both together.
     """
     shares = {

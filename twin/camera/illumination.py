@@ -22,15 +22,27 @@ def ideal_signal(system: System, cells_w: Array) -> Array:
 
 
 def mean_signal(system: System, cells_w: Array) -> Array:
-    """The same with the emitter's switching time."""
+    """The same with the emitter's switching time: the patterns before decay while the shutters of
+    the next one are open.
+    """
     signal = ideal_signal(system, cells_w)
     left_over = residual_share(system)
-    if left_over:
-        # The preceding pattern decays while the first shutter of the next one is open.
-        before = np.concatenate([np.zeros_like(signal[:1]), signal[:-1]])[:, 0]
-        signal = signal.copy()
-        signal[:, 0] += left_over * (before - signal[:, 0])
-    return signal
+    if not left_over:
+        return signal
+    kept = _kept(system, _switching_s(system))
+    turns = np.zeros(signal.shape[1]) if system.gates_at_once else np.arange(signal.shape[1])
+    light = settled(signal, kept ** (turns[-1] + 1), np.zeros_like(signal[0]))
+    before = np.concatenate([np.zeros_like(light[:1]), light[:-1]])
+    return np.asarray(signal + left_over * kept ** turns[:, None] * (before - signal))
+
+
+def settled(levels: Array, kept: float, start: Array) -> Array:
+    """Where a decay has come to at the end of each of a series of levels, (n, ...), of which it
+    keeps the share ``kept`` of what was before, from ``start`` on.
+    """
+    from scipy.signal import lfilter  # takes 0.3 s to import
+
+    return np.asarray(lfilter([1 - kept], [1, -kept], levels, axis=0, zi=kept * start[None])[0])
 
 
 def frame_signal(
@@ -58,14 +70,14 @@ def dark_share(system: System) -> float:
 
 
 def residual_share(system: System) -> float:
-    """Share of an exposure's light that belongs to the preceding pattern."""
+    """Share of an exposure's light that belongs to the patterns before, the first after them."""
     decay_s = _switching_s(system)
     return system.acquisition.residue(decay_s) if decay_s else 0.0
 
 
 def amplifier_residue(system: System) -> float:
-    """Share of an exposure's charge that belongs to the preceding exposure, of light that changes
-    at once: the amplifier's single pole decays with tau = 1 / (2 pi bandwidth).
+    """Share of an exposure's charge that belongs to the exposures before, of light that changes at
+    once: the amplifier's single pole decays with tau = 1 / (2 pi bandwidth).
     """
     decay_s = _amplifier_s(system)
     return system.acquisition.residue(decay_s) if decay_s else 0.0
@@ -79,6 +91,16 @@ def switched_residue(system: System) -> float:
     if not switching_s or not amplifier_s:
         return residual_share(system) + amplifier_residue(system)
     return system.acquisition.residue_of_two(switching_s, amplifier_s)
+
+
+def amplifier_keeps(system: System) -> float:
+    """Share of its output that the amplifier keeps over a period."""
+    return _kept(system, _amplifier_s(system))
+
+
+def _kept(system: System, decay_s: float) -> float:
+    """Share that a decay leaves over a period."""
+    return math.exp(-system.acquisition.pattern_period_s.value / decay_s) if decay_s else 0.0
 
 
 def _switching_s(system: System) -> float:

@@ -164,13 +164,13 @@ def lag_warnings(
 ) -> Iterator[CaptureWarning]:
     """Warning of lag between exposures above the noise per pixel (n_detectors,).
 
-    ``lag_shares``: share of the preceding exposure in each exposure, by the fields that cause it.
+    ``lag_shares``: share of the exposures before in each exposure, by the fields that cause it.
     """
     hidden = bool(lag.hides(noise_e).all())
     if not hidden and not _matters(lag, noise_e):
         return
     shares = ", ".join(f"{100 * share:.3g} % ({field})" for field, share in lag_shares.items())
-    text = f"of the preceding exposure {shares} is left in each one; {_cost(lag, noise_e)}"
+    text = f"of the exposures before {shares} is left in each one; {_cost(lag, noise_e)}"
     yield CaptureWarning("lag", text, void=hidden)
 
 

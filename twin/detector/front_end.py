@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from hardware.records import Flag
-from twin.detector.flicker import FLICKER, OF_A_PAIR
+from twin.detector.flicker import FLICKER, ONE_AFTER_THE_OTHER, ExposureTimes, drawn
 from twin.detector.noise import NoiseBudget
 from twin.errors import InputError
 from twin.system import System
@@ -27,8 +27,9 @@ class FrontEnd:
     A transimpedance amplifier R averages the current over the integration time T, so that n
     electrons give n q R / T volts; its Johnson noise 4 k Theta / R in the bandwidth 1 / (2 T) of
     that average is a charge variance of 2 k Theta T / R. A capacitive one gives n q / C volts and
-    fills up at its well. ``flicker_cycles``: exposures' period times the corner frequency below
-    which the amplifier's noise density grows as 1/f; 0 is white noise.
+    fills up at its well. ``flicker_cycles``: the time T times the corner frequency below which the
+    amplifier's noise density grows as 1/f; 0 is white noise. ``times``: of the exposures whose 1/f
+    noise hangs together.
 
     All electrons are those at the detector's terminals, behind an avalanche's ``gain`` M, whose
     ``excess_noise`` F makes their shot noise M F times their mean (McIntyre 1966).
@@ -46,6 +47,7 @@ class FrontEnd:
     adc_bits: int
     full_well_e: float = np.inf
     flicker_cycles: float = 0.0
+    times: ExposureTimes = ONE_AFTER_THE_OTHER
     gain: float = 1.0
     excess_noise: float = 1.0
 
@@ -77,10 +79,14 @@ class FrontEnd:
             full_well_e=readout.full_well_e.value * system.pixels_per_detector
             if readout.full_well_e
             else np.inf,
-            flicker_cycles=readout.flicker_corner_hz.value
-            * system.acquisition.pattern_period_s.value
+            flicker_cycles=readout.flicker_corner_hz.value * t
             if readout.flicker_corner_hz
             else 0.0,
+            times=ExposureTimes(
+                period=system.acquisition.pattern_period_s.value / exposure_s,
+                n_shutters=tof.n_shutters if tof else 1,
+                at_once=system.gates_at_once,
+            ),
             gain=detector.multiplication,
             excess_noise=detector.excess_noise,
         )
@@ -117,6 +123,11 @@ class FrontEnd:
         """White noise of the amplifier, rms of one exposure."""
         return float(np.hypot(self.johnson_e, self.read_e))
 
+    @property
+    def flicker_e(self) -> float:
+        """Root of S0 fc T^2, the unit of `twin.detector.flicker`."""
+        return self.amplifier_e * float(np.sqrt(self.flicker_cycles))
+
 
 def noise_budget(
     signal_w: Array,
@@ -127,7 +138,7 @@ def noise_budget(
     """Budget at the mean of the exposures ``signal_w``, W, and of the background.
 
     ``emitter_noise``: relative fluctuation of the emitter. 1/f noise is counted as it survives the
-    difference of a pair (`flicker.in_image`: as it survives other sets).
+    difference of a pair, all shutters added up (`flicker.in_image`: as it survives other sets).
     """
     shot = front_end.shot_variance
     signal = float(np.mean(signal_w)) * front_end.electrons_per_watt
@@ -142,8 +153,7 @@ def noise_budget(
             "shot noise of the dark current": float(np.sqrt(shot * front_end.dark_e)),
             "Johnson noise of the amplifier": front_end.johnson_e,
             "read noise": front_end.read_e,
-            FLICKER: front_end.amplifier_e
-            * float(np.sqrt(OF_A_PAIR / 2 * front_end.flicker_cycles)),
+            FLICKER: front_end.flicker_e * float(np.sqrt(front_end.times.in_a_pair)),
             "fluctuation of the emitter": emitter_noise * signal,
             "quantisation": front_end.electrons_per_count / float(np.sqrt(12)),
         },
@@ -191,7 +201,7 @@ def expose(
     if noise != "none":
         electrons += rng.normal(0.0, front_end.amplifier_e, mean_e.shape)
     if noise != "none" and front_end.flicker_cycles:
-        electrons += _flicker(mean_e.shape, front_end, rng)
+        electrons += front_end.flicker_e * drawn(mean_e.shape, front_end.times, rng)
     exact = electrons / front_end.electrons_per_count + front_end.offset_counts
     top = 2**front_end.adc_bits - 1
     counts = np.clip(np.rint(exact), 0, top).astype(np.int32)
@@ -223,17 +233,6 @@ def _collect(
             photoelectrons[many] + rng.normal(0, np.sqrt(excess * photoelectrons[many]))
         )
     return charge_e
-
-
-def _flicker(shape: tuple[int, ...], front_end: FrontEnd, rng: np.random.Generator) -> Array:
-    """1/f noise of a series of exposures: the white noise's density times corner over frequency.
-
-    Frequencies below one cycle per series are left out: they are an offset.
-    """
-    white = np.fft.rfft(rng.normal(0.0, front_end.amplifier_e, shape), axis=0)
-    frequency = np.fft.rfftfreq(shape[0])  # in cycles per exposure
-    gain = np.sqrt(front_end.flicker_cycles / np.where(frequency > 0, frequency, np.inf))
-    return np.fft.irfft(white * gain[:, None], n=shape[0], axis=0)
 
 
 def _shot(mean: Array, rng: np.random.Generator, *, gaussian: bool = False) -> Array:

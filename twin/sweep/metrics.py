@@ -20,6 +20,7 @@ from twin.camera.intervals import (
     ssim_interval,
 )
 from twin.camera.score import Score, score_of
+from twin.detector.flicker import FLICKER
 from twin.errors import InputError
 from twin.radar.detection_count import targets_detected
 from twin.radar.evaluation import RadarEvaluation
@@ -103,12 +104,20 @@ def _pixel_terms(
     factor = taken.noise.pixel_noise_e(system.patterns) / taken.noise.total_noise_e
     has_tia = system.readout.transimpedance_ohm is not None
     growing = [noise["fluctuation of the emitter"]]
-    constant = [noise["read noise"], noise["1/f noise of the amplifier"]]
+    constant = [noise["read noise"]]
     # A transimpedance amplifier averages: its converter's step grows with time.
     (growing if has_tia else constant).append(noise["quantisation"])
     times = (times_signal, times_sun, 1.0)
     linear = [noise[name] * math.sqrt(x) for name, x in zip(shot, times, strict=True)]
-    linear.append(noise["Johnson noise of the amplifier"])
+    # 1/f noise grows as white noise of the amplifier does, and with the root of time besides.
+    johnson, read, slow = (
+        noise["Johnson noise of the amplifier"],
+        noise["read noise"],
+        noise[FLICKER],
+    )
+    white = math.hypot(johnson, read) or 1.0
+    linear += [johnson, slow * read / white]
+    growing.append(slow * johnson / white)
     lit = taken.scene_e[taken.lit]
     signal = times_signal * float(np.median(lit)) / factor / time if lit.size else 0.0
     return (

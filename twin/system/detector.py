@@ -159,7 +159,9 @@ class Readout(Strict):
     read_noise_e: Sourced[NonNegative]
     """Noise of one readout, rms, the reset noise of a capacitive amplifier included."""
     flicker_corner_hz: Sourced[NonNegative] | None = None
-    """Frequency below which the amplifier's noise density grows as 1/f. Default: nowhere."""
+    """Frequency fc below which the amplifier's noise density, S0 (1 + fc / f), grows as 1/f; S0
+    over the integration time is its Johnson and read noise. Default: nowhere.
+    """
     bandwidth_hz: Sourced[Positive] | None = None
     """Of the amplifier's one pole, which carries a share of each exposure into the next. Default:
     wide enough to settle.
