@@ -11,28 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.budget.field import field_means
 from twin.camera.illumination import dark_share
 from twin.camera.shutters import shutters
 from twin.detector import FrontEnd, NoiseBudget, noise_budget
 from twin.detector.flicker import in_image
 from twin.files import InputError
-from twin.optics.passband import passband
-from twin.optics.radiometry import (
-    Collection,
-    cell_centres,
-    collection,
-    lit_tan,
-    mean_cos_power,
-    wall_power_w,
-)
+from twin.optics.radiometry import Collection, collection, lit_tan, wall_power_w
 from twin.optics.spectra import responsivity_a_per_w
-from twin.system import Sky, System
+from twin.system import System
 from twin.system.detector import check_has_closed_form
 from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 
-_PARTS = 64  # parts of the field along each side, over which the filter's shift is averaged
 _TIMES_S = (1e-9, 1e3)
 _DISTANCES_M = (1e-2, 1e6)
 _FARTHEST_M = 1e12  # that a row may ask for
@@ -48,6 +40,12 @@ _LEFT_OUT = {
     "optics.edge_illumination": "vignetting beyond cos^4",
     "optics.blur_rms_deg": "the lens's blur",
     "optics.focus_m": "its defocus",
+}
+#: Those that it knows of an image, not of one exposure.
+_OF_IMAGE = {
+    "readout.flicker_corner_hz": "1/f noise of the amplifier",
+    "time_of_flight.modulation_hz": "the shutters of time of flight",
+    "time_of_flight.gate_delays_s": "the gates",
 }
 
 
@@ -97,8 +95,14 @@ def wall_rows(
     return [design.row(z, rho) for z in distances_m for rho in reflectances]
 
 
+def left_out_of_exposure(system: System) -> list[str]:
+    """Effects of the system that the closed form of one exposure with all cells lit leaves out."""
+    said = {name for name, _ in system.values()}
+    return [what for name, what in (_LEFT_OUT | _OF_IMAGE).items() if name in said]
+
+
 def left_out(system: System) -> list[str]:
-    """Effects of the system that the closed form leaves out."""
+    """Effects of the system that the closed form of its image leaves out."""
     said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
     missing = [what for name, what in _LEFT_OUT.items() if name in said]
     if system.optics.field_stop.value == "detector":
@@ -123,25 +127,13 @@ class _SystemBudget:
     @classmethod
     def of(cls, system: System) -> "_SystemBudget":
         check_has_closed_form(system.detector)
-        if system.is_raster:
-            raise InputError(
-                "acquisition.order: closed formulas know pattern sets, expected none of raster"
-            )
-        lens = collection(system)
-        dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
-        sky = passband(system, system.sky or dark)
-        lit_deg, emitted = _over(lens, min(lens.tan_half_field, lit_tan(system)), 7)
-        degrees, sent = _over(lens, lens.tan_half_field, 4)
-        sun = float(np.sum(sent * sky.sun_at(degrees)) / sent.sum()) / math.pi
+        lens, means = collection(system), field_means(system)
         collected = lens.transmission * lens.pupil_area_m2 * lens.field_area
         return cls(
             system=system,
             lens=lens,
-            in_band=float(np.sum(emitted * sky.emitter_at(lit_deg)) / emitted.sum()),
-            sun_w=sun
-            * collected
-            * mean_cos_power(4, lens.tan_half_field, lens.outline)
-            / system.n_detectors,
+            in_band=float(means.in_band),
+            sun_w=float(means.sun_w_per_m2) / math.pi * collected / system.n_detectors,
             responsivity=responsivity_a_per_w(system.detector, system.emitter, system.filter),
         )
 
@@ -249,14 +241,3 @@ def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: f
     if off(high) < 0:
         return math.inf
     return ends[0] if off(low) > 0 else math.exp(brentq(off, low, high, xtol=1e-12))
-
-
-def _over(lens: Collection, half: float, power: int) -> tuple[Array, Array]:
-    """Angles to the axis, degrees, over a square of ``half`` a side on the plane at distance 1, and
-    cos^power there; 0 outside the field.
-    """
-    side = cell_centres(_PARTS) * half
-    radius = np.hypot(side[:, None], side)
-    angles = np.arctan(radius)
-    outside = (lens.outline == "disc") & (radius > lens.tan_half_field)
-    return np.degrees(angles), np.cos(angles) ** power * ~outside
