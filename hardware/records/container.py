@@ -197,6 +197,14 @@ def check_whole_numbers(record: Any, *names: str) -> None:
             raise InputError(f"{name}: dtype {dtype}, expected integers")
 
 
+def check_within(record: Any, **most: int) -> None:
+    """Raise InputError unless every named array holds numbers from 0 to its most."""
+    for name, top in most.items():
+        values = getattr(record, name)
+        if values.size and not (values.min() >= 0 and values.max() <= top):
+            raise InputError(f"{name}: {values.min()} to {values.max()}, expected 0 to {top}")
+
+
 def check_tuples(record: Any, **types: type) -> None:
     """Raise InputError unless every named field is a tuple of values of its type."""
     for name, kind in types.items():
