@@ -17,7 +17,7 @@ from twin.camera.shutters import shutters
 from twin.detector import FrontEnd, NoiseBudget, noise_budget
 from twin.detector.flicker import in_image
 from twin.files import InputError
-from twin.optics.radiometry import Collection, collection, lit_tan, wall_power_w
+from twin.optics.radiometry import Collection, collection, field_stop, lit_tan, wall_power_w
 from twin.optics.spectra import responsivity_a_per_w
 from twin.system import System
 from twin.system.detector import check_has_closed_form
@@ -25,6 +25,7 @@ from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 
+_WHOLE = 1e-6  # of a cell, which is rounding
 _TIMES_S = (1e-9, 1e3)
 _DISTANCES_M = (1e-2, 1e6)
 _FARTHEST_M = 1e12  # that a row may ask for
@@ -53,13 +54,14 @@ _OF_IMAGE = {
 class WallRow:
     """A wall at one distance, of one reflectance.
 
-    ``budget``: of one average exposure. ``snr_per_pixel``: of the image, mean over the field; nan
-    where the detector saturates. ``fill``: the all-lit exposure, its mean over the converter's
-    range, or the well's where that is less. ``minimum_time_s``: integration for an SNR per pixel of
-    1, with as many patterns; infinite where the detector saturates before, or where noise that
-    grows as the signal does forbids it (the emitter's fluctuation; behind a transimpedance
-    amplifier, which averages, the converter's step). ``maximum_distance_m``: at which the SNR per
-    pixel is 1; nan where the detector saturates there, and for gates.
+    ``budget``: of one average exposure. ``snr_per_pixel``: of the image, mean over the cells in the
+    field, those that its edge cuts as well; nan where the detector saturates. ``fill``: the all-lit
+    exposure, its mean over the converter's range, or the well's where that is less.
+    ``minimum_time_s``: integration for an SNR per pixel of 1, with as many patterns; infinite where
+    the detector saturates before, or where noise that grows as the signal does forbids it (the
+    emitter's fluctuation; behind a transimpedance amplifier, which averages, the converter's step).
+    ``maximum_distance_m``: at which the SNR per pixel is 1; nan where the detector saturates there,
+    and for gates.
     """
 
     distance_m: float
@@ -105,6 +107,10 @@ def left_out(system: System) -> list[str]:
     """Effects of the system that the closed form of its image leaves out."""
     said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
     missing = [what for name, what in _LEFT_OUT.items() if name in said]
+    if system.has_square_field and _cuts_cells(system):
+        missing.append(
+            "the field's edge within cells (the SNR is the mean over whole and cut cells alike)"
+        )
     if system.optics.field_stop.value == "detector":
         missing.append("the field's outline (the SNR is the mean over all cells, unseen ones too)")
     return missing
@@ -170,16 +176,18 @@ class _SystemBudget:
         """Signal of a cell over noise of a pixel, summed over the shutters."""
         system, n_shutters = self.system, len(shutters(self.system))
         lit = self.watt(distance_m, reflectance) * self._front_end(time_s).electrons_per_watt
-        cell = (1 - dark_share(system)) * lit / (system.patterns.n_cells * self._seen_share)
+        cell = (1 - dark_share(system)) * lit / self._n_seen
         noise = self.budget(distance_m, reflectance, time_s).pixel_noise_e(system.patterns)
         return math.sqrt(n_shutters) * cell / noise
 
     @property
-    def _seen_share(self) -> float:
-        """Of the lit cells, those in a square field; of another outline all (`left_out`)."""
-        if self.lens.outline == "disc" or not self.system.emitter.has_lens:
-            return 1.0
-        return min(self.lens.tan_half_field / lit_tan(self.system), 1.0) ** 2
+    def _n_seen(self) -> float:
+        """Cells of a detector in a square field, whole or cut by its edge; of another outline all
+        (`left_out`).
+        """
+        if self.lens.outline == "disc":
+            return self.system.patterns.n_cells
+        return math.prod(map(_seen, _across(self.system))) / self.system.n_detectors
 
     def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Mean of the brightest exposure, all cells lit, over the converter's range, or over the
@@ -225,6 +233,26 @@ class _SystemBudget:
             changed = system.acquisition.unchecked_copy({"integration_time_s": exposure})
             system = system.unchecked_copy({"acquisition": changed})
         return FrontEnd.of(system, self.responsivity)
+
+
+def _across(system: System) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Cells across the lit field, and how many of them the detector's field is wide: of columns,
+    all detectors together, and of rows.
+    """
+    share = min(field_stop(system)[0] / lit_tan(system), 1.0) if system.emitter.has_lens else 1.0
+    rows, columns = system.image_shape
+    return (columns, columns * share), (rows, rows * share)
+
+
+def _seen(across: tuple[int, float]) -> int:
+    """Of cells side by side, those of which a field in their middle sees any part."""
+    n, wide = across
+    middle = n % 2
+    return middle + 2 * math.ceil(max(wide - middle, 0) / 2 - _WHOLE)
+
+
+def _cuts_cells(system: System) -> bool:
+    return any(_seen((n, wide)) - wide > 2 * _WHOLE for n, wide in _across(system))
 
 
 def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:
