@@ -158,6 +158,7 @@ def reconstruct(
     ((1, 8, 8), 27, 10000)
     """
     check_kind("record", record, SpiRecord, "hardware.read_record")
+    check_kind("compensation", compensation, Compensation, "hardware.Compensation()")
     check_reference(record, reference_ns)
     solve = method_of(method)
     received = with_level(record.received)

@@ -129,6 +129,8 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
     """
     import h5py
 
+    if not isinstance(path, str | Path):
+        raise InputError(f"path = {path!r:.60}: expected the path of a {layout.format}")
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such record")

@@ -273,6 +273,16 @@ def test_numbers_that_a_file_could_not_hold_are_refused(field: str, value: np.nd
         replace(make_record(), **{field: value})
 
 
+def test_what_is_no_path_and_no_compensation_is_told() -> None:
+    for path in (None, 5):
+        with pytest.raises(
+            InputError, match=f"^path = {path}: expected the path of a ugv-spi-record"
+        ):
+            read_record(path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^compensation = 3: expected a Compensation"):
+        reconstruct(make_record(), compensation=3)  # type: ignore[arg-type]
+
+
 def test_a_subset_of_patterns_is_kept(tmp_path: Path) -> None:
     """Any rows in any order; a set with a named order writes nothing new."""
     record = replace(make_record(), patterns=PatternSet.of(4, 4, list(range(15, -1, -1))))
