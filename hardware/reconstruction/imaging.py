@@ -159,6 +159,7 @@ def reconstruct(
     ((1, 8, 8), 27, 10000)
     """
     check_kind("record", record, SpiRecord, "hardware.read_record")
+    check_kind("compensation", compensation, Compensation, "hardware.Compensation()")
     check_reference(record, reference_ns)
     solve = method_of(method)
     received = with_level(record.received)
@@ -264,6 +265,12 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+    if at_rail := record.n_at_rail:
+        yield (
+            f"{at_rail} of {n} exposures stand at an end of the converter's range, 0 or "
+            f"{2**record.adc_bits - 1}, and are not marked saturated"
+        )
+    yield from record.time_warnings
     if left_out := record.n_left_out:
         yield (
             f"{left_out} of {n + left_out} exposures that the device numbered are not in the "

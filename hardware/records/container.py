@@ -129,6 +129,8 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
     """
     import h5py
 
+    if not isinstance(path, str | Path):
+        raise InputError(f"path = {path!r:.60}: expected the path of a {layout.format}")
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such record")
@@ -195,6 +197,14 @@ def check_whole_numbers(record: Any, *names: str) -> None:
         dtype = getattr(record, name).dtype
         if not np.issubdtype(dtype, np.integer):
             raise InputError(f"{name}: dtype {dtype}, expected integers")
+
+
+def check_within(record: Any, **most: int) -> None:
+    """Raise InputError unless every named array holds numbers from 0 to its most."""
+    for name, top in most.items():
+        values = getattr(record, name)
+        if values.size and not (values.min() >= 0 and values.max() <= top):
+            raise InputError(f"{name}: {values.min()} to {values.max()}, expected 0 to {top}")
 
 
 def check_tuples(record: Any, **types: type) -> None:

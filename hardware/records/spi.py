@@ -12,7 +12,10 @@ from hardware.patterns import Patterns, PatternSet, RasterScan
 from hardware.patterns.from_record import patterns_from_record
 from hardware.records import container
 from hardware.records.container import Flag
+from hardware.records.exposure_times import check_order, time_warnings
 from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
+
+Array = NDArray[np.int64]
 
 _BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
@@ -26,7 +29,9 @@ class SpiRecord(Described):
     counts : (n_exposures, n_detectors) int32
         ADC output, one row per pattern shown, in the order of ``patterns``.
     device_time_ns : (n_exposures,) int64
-        Device clock at the start of each exposure.
+        Device clock at the start of each exposure. It rises as ``sequence`` does: times of a
+        regular series in another order are refused, others that contradict the numbers warned of
+        (`time_warnings`).
     sequence : (n_exposures,) uint32
         The device's own numbering of its exposures: it rises, and begins anew after 2**32 - 1. An
         exposure that was lost keeps its row and its number, with `Flag.LOST`; or it is left out
@@ -93,7 +98,10 @@ class SpiRecord(Described):
         top = 2**self.adc_bits - 1
         if self.counts.size and not (self.counts.min() >= 0 and self.counts.max() <= top):
             raise InputError(f"counts: outside 0 to {top}, the range of {self.adc_bits} bits")
+        container.check_within(self, sequence=2**32 - 1, flags=2**8 - 1)
         self._check_sequence()
+        if not (self.flags & Flag.RESET).any():
+            check_order(*self._times_of_patterns((self.flags & Flag.LOST) == 0))
         container.check_positive(self, "integration_time_s", "electrons_per_count")
         if not np.isfinite(self.offset_counts):
             raise InputError(f"offset_counts: {self.offset_counts} is not a number")
@@ -120,6 +128,32 @@ class SpiRecord(Described):
     def _steps(self) -> NDArray[np.int64]:
         """From one exposure's number to the next one's, in numbers of 32 bits."""
         return np.asarray(np.mod(np.diff(self.sequence.astype(np.int64)), 2**32))
+
+    def _times_of_patterns(self, exposures: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Times and rising numbers of the first shutter of each pattern, of some exposures alone:
+        shutters may be open in the same exposure.
+        """
+        first = np.flatnonzero(exposures[:: len(self.shutters)]) * len(self.shutters)
+        numbers = np.concatenate([[0], np.cumsum(self._steps)])
+        return self.device_time_ns.astype(np.int64)[first], numbers[first]
+
+    @property
+    def time_warnings(self) -> list[str]:
+        """Warnings of times that contradict the numbers of the exposures."""
+        every = np.ones(self.flags.shape, np.bool_)
+        times, numbers = self._times_of_patterns(every)
+        return time_warnings(times, numbers, self.flags[:: len(self.shutters)])
+
+    @property
+    def n_at_rail(self) -> int:
+        """Exposures at an end of the converter's range that are not marked saturated or lost; 0 is
+        no end where no light is 0 counts.
+        """
+        ends = self.counts == 2**self.adc_bits - 1
+        if self.offset_counts > 0:
+            ends |= self.counts == 0
+        unmarked = (self.flags & (Flag.SATURATED | Flag.LOST)) == 0
+        return int(np.count_nonzero(ends.any(axis=1) & unmarked))
 
     @property
     def n_left_out(self) -> int:

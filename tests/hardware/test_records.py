@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from hardware import InputError, PatternSet, SpiRecord, read_record, write_record
+from hardware import InputError, PatternSet, SpiRecord, read_record, reconstruct, write_record
 from hardware.records import Flag, QuaternionPose, Shutter
 
 
@@ -196,6 +196,91 @@ def test_numbers_that_are_right_are_taken() -> None:
     received = replace(two, flags=flags).received
     assert (received.n_left_out, received.patterns.count) == (8, 14)
     assert [part.n_left_out for part in received.by_shutter] == [4, 4]
+
+
+@pytest.mark.parametrize("rows", [[1, 0, *range(2, 32)], [31, *range(31)], list(range(31, -1, -1))])
+def test_rows_in_another_order_than_their_times_are_refused(rows: list[int]) -> None:
+    """Swapped, moved on by one, the wrong way round, with the numbers as they should be: an image
+    of other patterns than those shown. All rows of a pattern with several shutters alike.
+    """
+    record = make_record()
+    moved = {name: getattr(record, name)[rows] for name in ("counts", "device_time_ns")}
+    with pytest.raises(InputError, match=r"^device_time_ns: .* rows are in another order"):
+        replace(record, **moved)
+
+
+def test_times_that_contradict_the_numbers_are_warned_of() -> None:
+    """A step that is longer or shorter, a clock that stands still, one that begins anew; of lost
+    exposures, behind a reset and between a device's frames it is as it may be.
+    """
+    record, number = make_record(), np.arange(32)
+
+    def told(flags: object = None, **times: object) -> list[str]:
+        made = replace(record, flags=np.zeros(32, np.uint8) if flags is None else flags, **times)
+        return made.time_warnings
+
+    times = record.device_time_ns
+    assert not told()
+    assert not told(device_time_ns=times + np.arange(32) % 5 * 3000)  # jitter
+    for off_ns in (100_000, 10**10, -50_000):
+        (text,) = told(device_time_ns=times + (number > 9) * off_ns)
+        assert text.startswith("1 of 32 exposures begin ")
+    assert "stands still" in told(device_time_ns=np.zeros(32, np.int64))[0]
+    again = times - (number > 9) * 2**32  # a clock of 32 bits
+    assert "runs back 1 time" in told(device_time_ns=again)[0]
+    assert not told(np.where(number == 10, Flag.RESET, 0).astype(np.uint8), device_time_ns=again)
+    assert not told(device_time_ns=times + number // 8 * 10**6)  # frames of 8
+    lost = np.where(number == 10, Flag.LOST, 0).astype(np.uint8)
+    assert not told(lost, device_time_ns=times + (number == 10) * 10**9)
+    assert not replace(record, flags=lost).received.time_warnings
+
+
+def test_shutters_that_are_open_in_the_same_exposure_have_its_time() -> None:
+    record = make_record()
+    two = replace(
+        record,
+        shutters=(Shutter(gate_width_s=1e-8), Shutter(gate_delay_s=1e-8, gate_width_s=1e-8)),
+        **{
+            name: np.repeat(getattr(record, name), 2, axis=0)
+            for name in ("counts", "device_time_ns", "flags")
+        },
+        sequence=np.arange(64, dtype=np.uint32),
+    )
+    assert not two.time_warnings
+    assert not two.by_shutter[1].time_warnings
+
+
+def test_counts_at_the_rails_without_the_flag_are_warned_of() -> None:
+    """At the top code, and at 0 where no light is more than that."""
+    record = replace(make_record(), offset_counts=10.0)
+    counts = np.full_like(record.counts, 100)
+    counts[:3], counts[3:5] = 2**record.adc_bits - 1, 0
+    flags = np.zeros(32, np.uint8)
+    flags[0], flags[4] = Flag.SATURATED, Flag.LOST
+    clipped = replace(record, counts=counts, flags=flags)
+    assert clipped.n_at_rail == 3
+    assert replace(clipped, offset_counts=0.0).n_at_rail == 2
+    said = reconstruct(clipped, "zero-fill").warnings
+    assert any("3 of 32 exposures stand at an end of the converter's range" in w for w in said)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("flags", np.full(32, 256)), ("sequence", np.arange(32) - 5)],
+)
+def test_numbers_that_a_file_could_not_hold_are_refused(field: str, value: np.ndarray) -> None:
+    with pytest.raises(InputError, match=f"^{field}: .* expected 0 to"):
+        replace(make_record(), **{field: value})
+
+
+def test_what_is_no_path_and_no_compensation_is_told() -> None:
+    for path in (None, 5):
+        with pytest.raises(
+            InputError, match=f"^path = {path}: expected the path of a ugv-spi-record"
+        ):
+            read_record(path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^compensation = 3: expected a Compensation"):
+        reconstruct(make_record(), compensation=3)  # type: ignore[arg-type]
 
 
 def test_a_subset_of_patterns_is_kept(tmp_path: Path) -> None:

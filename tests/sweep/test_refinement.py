@@ -235,6 +235,7 @@ def test_a_parameter_without_effect_is_told_between_points_of_one_accuracy(
     coarse = data["coarse"].to_numpy()
     for name in FRONT:
         data[name][:] = np.where(coarse, 1.0, 1.1)
+    data["void"][:] = False  # what decides it has an effect as well
     assert coarse.any()
     assert not coarse.all()
     assert set(effects.without_effect(data)) == {"scene.rig.x_m", "system.readout.read_noise_e"}

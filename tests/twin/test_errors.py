@@ -77,6 +77,21 @@ def test_a_name_in_place_of_what_it_names_is_told(call: Callable[[], object], to
         call()
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"emitter.switching_time_s": 1e300}, "emitter.switching_time_s"),
+        ({"filter.width_m": 1e-300}, "filter: width_m = 1e-300: expected 1e-15 to 0.001"),
+        ({"detector.part": 10**400}, "is neither a TOML file nor one of"),
+    ],
+)
+def test_what_no_device_has_is_refused_where_it_is_set(
+    changes: dict[str, object], told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        twin.load_system("workable").with_(changes)
+
+
 def test_what_is_scored_beside_a_capture_is_checked() -> None:
     """Of another grid, or no image at all: before anything is reconstructed."""
     small = {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}

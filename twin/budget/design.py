@@ -11,28 +11,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.budget.field import field_means
 from twin.camera.illumination import dark_share
 from twin.camera.shutters import shutters
 from twin.detector import FrontEnd, NoiseBudget, noise_budget
 from twin.detector.flicker import in_image
 from twin.files import InputError
-from twin.optics.passband import passband
-from twin.optics.radiometry import (
-    Collection,
-    cell_centres,
-    collection,
-    lit_tan,
-    mean_cos_power,
-    wall_power_w,
-)
+from twin.optics.radiometry import Collection, collection, field_stop, lit_tan, wall_power_w
 from twin.optics.spectra import responsivity_a_per_w
-from twin.system import Sky, System
+from twin.system import System
 from twin.system.detector import check_has_closed_form
 from twin.toml import Sourced
 
 Array = NDArray[np.float64]
 
-_PARTS = 64  # parts of the field along each side, over which the filter's shift is averaged
+_WHOLE = 1e-6  # of a cell, which is rounding
 _TIMES_S = (1e-9, 1e3)
 _DISTANCES_M = (1e-2, 1e6)
 _FARTHEST_M = 1e12  # that a row may ask for
@@ -49,19 +42,26 @@ _LEFT_OUT = {
     "optics.blur_rms_deg": "the lens's blur",
     "optics.focus_m": "its defocus",
 }
+#: Those that it knows of an image, not of one exposure.
+_OF_IMAGE = {
+    "readout.flicker_corner_hz": "1/f noise of the amplifier",
+    "time_of_flight.modulation_hz": "the shutters of time of flight",
+    "time_of_flight.gate_delays_s": "the gates",
+}
 
 
 @dataclass(frozen=True)
 class WallRow:
     """A wall at one distance, of one reflectance.
 
-    ``budget``: of one average exposure. ``snr_per_pixel``: of the image, mean over the field; nan
-    where the detector saturates. ``fill``: the all-lit exposure, its mean over the converter's
-    range, or the well's where that is less. ``minimum_time_s``: integration for an SNR per pixel of
-    1, with as many patterns; infinite where the detector saturates before, or where noise that
-    grows as the signal does forbids it (the emitter's fluctuation; behind a transimpedance
-    amplifier, which averages, the converter's step). ``maximum_distance_m``: at which the SNR per
-    pixel is 1; nan where the detector saturates there, and for gates.
+    ``budget``: of one average exposure. ``snr_per_pixel``: of the image, mean over the cells in the
+    field, those that its edge cuts as well; nan where the detector saturates. ``fill``: the all-lit
+    exposure, its mean over the converter's range, or the well's where that is less.
+    ``minimum_time_s``: integration for an SNR per pixel of 1, with as many patterns; infinite where
+    the detector saturates before, or where noise that grows as the signal does forbids it (the
+    emitter's fluctuation; behind a transimpedance amplifier, which averages, the converter's step).
+    ``maximum_distance_m``: at which the SNR per pixel is 1; nan where the detector saturates there,
+    and for gates.
     """
 
     distance_m: float
@@ -97,10 +97,20 @@ def wall_rows(
     return [design.row(z, rho) for z in distances_m for rho in reflectances]
 
 
+def left_out_of_exposure(system: System) -> list[str]:
+    """Effects of the system that the closed form of one exposure with all cells lit leaves out."""
+    said = {name for name, _ in system.values()}
+    return [what for name, what in (_LEFT_OUT | _OF_IMAGE).items() if name in said]
+
+
 def left_out(system: System) -> list[str]:
-    """Effects of the system that the closed form leaves out."""
+    """Effects of the system that the closed form of its image leaves out."""
     said = {name for name, _ in system.values()} | ({"weather"} if system.weather else set())
     missing = [what for name, what in _LEFT_OUT.items() if name in said]
+    if system.has_square_field and _cuts_cells(system):
+        missing.append(
+            "the field's edge within cells (the SNR is the mean over whole and cut cells alike)"
+        )
     if system.optics.field_stop.value == "detector":
         missing.append("the field's outline (the SNR is the mean over all cells, unseen ones too)")
     return missing
@@ -123,25 +133,13 @@ class _SystemBudget:
     @classmethod
     def of(cls, system: System) -> "_SystemBudget":
         check_has_closed_form(system.detector)
-        if system.is_raster:
-            raise InputError(
-                "acquisition.order: closed formulas know pattern sets, expected none of raster"
-            )
-        lens = collection(system)
-        dark = Sky(illuminance_lx=Sourced(value=0.0, source="no sky section"))
-        sky = passband(system, system.sky or dark)
-        lit_deg, emitted = _over(lens, min(lens.tan_half_field, lit_tan(system)), 7)
-        degrees, sent = _over(lens, lens.tan_half_field, 4)
-        sun = float(np.sum(sent * sky.sun_at(degrees)) / sent.sum()) / math.pi
+        lens, means = collection(system), field_means(system)
         collected = lens.transmission * lens.pupil_area_m2 * lens.field_area
         return cls(
             system=system,
             lens=lens,
-            in_band=float(np.sum(emitted * sky.emitter_at(lit_deg)) / emitted.sum()),
-            sun_w=sun
-            * collected
-            * mean_cos_power(4, lens.tan_half_field, lens.outline)
-            / system.n_detectors,
+            in_band=float(means.in_band),
+            sun_w=float(means.sun_w_per_m2) / math.pi * collected / system.n_detectors,
             responsivity=responsivity_a_per_w(system.detector, system.emitter, system.filter),
         )
 
@@ -179,16 +177,18 @@ class _SystemBudget:
         """Signal of a cell over noise of a pixel, summed over the shutters."""
         system, n_shutters = self.system, len(shutters(self.system))
         lit = self.watt(distance_m, reflectance) * self._front_end(time_s).electrons_per_watt
-        cell = (1 - dark_share(system)) * lit / (system.patterns.n_cells * self._seen_share)
+        cell = (1 - dark_share(system)) * lit / self._n_seen
         noise = self.budget(distance_m, reflectance, time_s).pixel_noise_e(system.patterns)
         return math.sqrt(n_shutters) * cell / noise
 
     @property
-    def _seen_share(self) -> float:
-        """Of the lit cells, those in a square field; of another outline all (`left_out`)."""
-        if self.lens.outline == "disc" or not self.system.emitter.has_lens:
-            return 1.0
-        return min(self.lens.tan_half_field / lit_tan(self.system), 1.0) ** 2
+    def _n_seen(self) -> float:
+        """Cells of a detector in a square field, whole or cut by its edge; of another outline all
+        (`left_out`).
+        """
+        if self.lens.outline == "disc":
+            return self.system.patterns.n_cells
+        return math.prod(map(_seen, _across(self.system))) / self.system.n_detectors
 
     def fill(self, distance_m: float, reflectance: float, time_s: float | None = None) -> float:
         """Mean of the brightest exposure, all cells lit, over the converter's range, or over the
@@ -238,6 +238,26 @@ class _SystemBudget:
         return replace(FrontEnd.of(longer, self.responsivity), times=front_end.times)
 
 
+def _across(system: System) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Cells across the lit field, and how many of them the detector's field is wide: of columns,
+    all detectors together, and of rows.
+    """
+    share = min(field_stop(system)[0] / lit_tan(system), 1.0) if system.emitter.has_lens else 1.0
+    rows, columns = system.image_shape
+    return (columns, columns * share), (rows, rows * share)
+
+
+def _seen(across: tuple[int, float]) -> int:
+    """Of cells side by side, those of which a field in their middle sees any part."""
+    n, wide = across
+    middle = n % 2
+    return middle + 2 * math.ceil(max(wide - middle, 0) / 2 - _WHOLE)
+
+
+def _cuts_cells(system: System) -> bool:
+    return any(_seen((n, wide)) - wide > 2 * _WHOLE for n, wide in _across(system))
+
+
 def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: float) -> float:
     """Argument at which a rising function reaches a level: the first end where it is above it
     everywhere, infinite where it is below.
@@ -252,14 +272,3 @@ def _solve(rising: Callable[[float], float], ends: tuple[float, float], level: f
     if off(high) < 0:
         return math.inf
     return ends[0] if off(low) > 0 else math.exp(brentq(off, low, high, xtol=1e-12))
-
-
-def _over(lens: Collection, half: float, power: int) -> tuple[Array, Array]:
-    """Angles to the axis, degrees, over a square of ``half`` a side on the plane at distance 1, and
-    cos^power there; 0 outside the field.
-    """
-    side = cell_centres(_PARTS) * half
-    radius = np.hypot(side[:, None], side)
-    angles = np.arctan(radius)
-    outside = (lens.outline == "disc") & (radius > lens.tan_half_field)
-    return np.degrees(angles), np.cos(angles) ** power * ~outside

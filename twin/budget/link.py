@@ -1,7 +1,7 @@
 """Link budget of one pixel in closed form, for arrays of designs at once.
 
-Rates in electrons per second; the on-axis formula, as in the paper, without the cosines of the
-field (their mean is 0.93 over 20 degrees, see `mean_cos_power`).
+Rates in electrons per second; the formula of the paper, whose numbers are those on the axis
+(`link_of`) or means over the field (`field_link`).
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class OpticalLink:
     ``in_band``: share of the emitter's line inside the filter. ``sun_w_per_m2``: irradiance of the
     sun in the band, at normal incidence on the object. ``shot_variance``: variance over mean of the
     electrons at the detector's terminals, M F of an avalanche photodiode. ``lit_share``: of the
-    detector's field, what the emitter lights.
+    detector's field, what the emitter lights; over a field with its cosines.
     """
 
     radiant_intensity_w_per_sr: Number
@@ -60,11 +60,37 @@ class OpticalLink:
         return reflectance * irradiance * collected * self.responsivity_a_per_w / constants.e
 
 
+@dataclass(frozen=True)
+class LongerNoise:
+    """Noise beside shot and read noise, which grows with the exposure; every field may be an array.
+
+    ``e2_per_s``: variance that grows as time does, j (an amplifier that averages has Johnson noise
+    so). ``fluctuation``: of the emitter, relative, f. ``e_per_s``: what grows as the signal does, g
+    (behind an amplifier that averages, the converter's rounding).
+    """
+
+    e2_per_s: Number = 0.0
+    fluctuation: Number = 0.0
+    e_per_s: Number = 0.0
+
+
+NONE = LongerNoise()
+
+
 def noise_e(
-    signal: Number, background: Number, time_s: Number, read_e: Number, shot_variance: Number = 1.0
+    signal: Number,
+    background: Number,
+    time_s: Number,
+    read_e: Number,
+    shot_variance: Number = 1.0,
+    longer: LongerNoise = NONE,
 ) -> Number:
-    """Shot noise of all collected electrons, with the read noise."""
-    return np.sqrt(shot_variance * (signal + background) * time_s + np.square(read_e))
+    """Shot noise of all collected electrons, with the read noise, and with noise that grows with
+    the exposure.
+    """
+    shot = (shot_variance * (signal + background) + longer.e2_per_s) * time_s
+    steady = np.square(longer.fluctuation * signal) + np.square(longer.e_per_s)
+    return np.sqrt(shot + np.square(read_e) + steady * np.square(time_s))
 
 
 def minimum_time_s(
@@ -73,15 +99,19 @@ def minimum_time_s(
     read_e: Number,
     snr: Number = 1.0,
     shot_variance: Number = 1.0,
+    longer: LongerNoise = NONE,
 ) -> Number:
     """Shortest integration whose signal is ``snr`` times its noise.
 
-    s T = snr sqrt(v (s + b) T + r^2), solved for T; infinite without signal.
+    s T = k sqrt((v (s + b) + j) T + r^2 + (f^2 s^2 + g^2) T^2) with k = snr, solved for T; infinite
+    where no time is long enough.
     """
-    half = np.square(snr) * shot_variance * (signal + background) / 2
-    root = np.sqrt(half**2 + np.square(snr * signal * read_e))
+    half = np.square(snr) * (shot_variance * (signal + background) + longer.e2_per_s) / 2
+    steady = np.square(longer.fluctuation * signal) + np.square(longer.e_per_s)
+    net = np.square(signal) - np.square(snr) * steady
+    root = np.sqrt(half**2 + np.maximum(net, 0) * np.square(snr * read_e))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(signal > 0, (half + root) / np.square(signal), np.inf)
+        return np.where((signal > 0) & (net > 0), (half + root) / net, np.inf)
 
 
 def maximum_distance_m(
@@ -91,16 +121,20 @@ def maximum_distance_m(
     read_e: Number,
     snr: Number = 1.0,
     shot_variance: Number = 1.0,
+    longer: LongerNoise = NONE,
 ) -> Number:
-    """Farthest distance at which the signal is ``snr`` times the noise after ``time_s``.
+    """Farthest distance at which the signal is ``snr`` times the noise after ``time_s``; 0 where it
+    is at none.
 
-    It needs s = k (k v + sqrt(k^2 v^2 + 4 (v b T + r^2))) / (2 T) with k = snr, v the shot
-    variance, and s falls with 1/z^2.
+    It needs s = k (k v + sqrt(k^2 v^2 + 4 u ((v b + j) T + r^2 + g^2 T^2))) / (2 u T) with
+    k = snr, v the shot variance, u = 1 - k^2 f^2, and s falls with 1/z^2.
     """
     own = snr * shot_variance
-    rest = shot_variance * background * time_s + np.square(read_e)
-    needed = snr * (own + np.sqrt(np.square(own) + 4 * rest)) / (2 * time_s)
-    return np.sqrt(signal_at_1_m / needed)
+    rest = (shot_variance * background + longer.e2_per_s) * time_s + np.square(read_e)
+    rest = rest + np.square(longer.e_per_s * time_s)
+    net = np.maximum(1 - np.square(snr * longer.fluctuation), 0)
+    needed = snr * (own + np.sqrt(np.square(own) + 4 * net * rest)) / (2 * time_s)
+    return np.sqrt(signal_at_1_m * net / needed)
 
 
 def implied_read_noise_e(

@@ -71,7 +71,7 @@ class FrontEnd:
         return cls(
             electrons_per_watt=responsivity * exposure_s / q,
             dark_e=detector.dark_current_a.value * system.pixels_per_detector * t / q,
-            johnson_e=float(np.sqrt(johnson_c2)) / q,
+            johnson_e=np.sqrt(johnson_c2) / q,
             read_e=readout.read_noise_e.value,
             electrons_per_count=volts_per_count / volts_per_e,
             offset_counts=readout.adc_offset_v.value / volts_per_count,

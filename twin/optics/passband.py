@@ -1,8 +1,10 @@
 """Emitter's line and sunlight behind the filter at each angle of the field."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +62,47 @@ def passband(system: System, sky: Sky, share: float = 1.0) -> Passband:
     )
 
 
+def mean_over_field(
+    system: System, value_at: Callable[[Any], Any], angles_deg: Array, weights: Array
+) -> Any:
+    """Mean of what the filter passes, over angles of the field with weights, as `Passband` has it.
+
+    ``value_at``: of an angle of incidence on the filter, degrees. Fields of the system may hold
+    arrays that broadcast.
+    """
+    band, optics = system.filter, system.optics
+    if band.effective_index is None:
+        return value_at(0.0)
+    if _is_behind_lens(band):
+        angles, shares = _cone_deg(optics.f_number.value)
+    else:
+        angles = _field_deg(optics.field_of_view_deg.value / 2)
+        hats = (np.interp(angles_deg, angles, hat) for hat in np.eye(len(angles)))
+        shares = np.array([np.sum(weights * hat) for hat in hats]) / np.sum(weights)
+    return sum(
+        share * value_at(angle) for angle, share in zip(angles, shares, strict=True) if share
+    )
+
+
+def _is_behind_lens(band: Filter) -> bool:
+    return band.place is not None and band.place.value == "behind lens"
+
+
+def _cone_deg(f_number: Any) -> tuple[Any, Array]:
+    """Angles of the cone behind a lens, the first axis, and the share of its etendue at each:
+    uniform in sin^2.
+    """
+    widest = np.minimum(1 / (2 * f_number), 1.0)
+    node, weight = np.polynomial.legendre.leggauss(_KNOTS)
+    return np.degrees(np.arcsin(np.multiply.outer(np.sqrt((node + 1) / 2), widest))), weight / 2
+
+
+def _field_deg(half_field_deg: float) -> Array:
+    """Angles from the axis to the corner of the field."""
+    corner = math.sqrt(2) * math.tan(math.radians(half_field_deg))
+    return np.linspace(0, math.degrees(math.atan(corner)), _KNOTS)
+
+
 @lru_cache(maxsize=256)
 def _passband_of(
     emitter: Emitter,
@@ -75,15 +118,11 @@ def _passband_of(
         share = in_band_fraction(emitter, band)
         sun = np.array([normal.irradiance_w_per_m2])
         return Passband(np.zeros(1), np.array([share]), sun, normal.illuminance_lx)
-    if band.place is not None and band.place.value == "behind lens":
-        widest = min(1 / (2 * f_number), 1.0)
-        node, weight = np.polynomial.legendre.leggauss(_KNOTS)
-        # Uniform in sin^2: the etendue of the cone.
-        angles = np.degrees(np.arcsin(widest * np.sqrt((node + 1) / 2)))
-        share, sun_w = (float(weight @ values) / 2 for values in _at(emitter, band, sky, angles))
+    if _is_behind_lens(band):
+        angles, shares = _cone_deg(f_number)
+        share, sun_w = (float(shares @ values) for values in _at(emitter, band, sky, angles))
         return Passband(np.zeros(1), np.array([share]), np.array([sun_w]), normal.illuminance_lx)
-    corner = math.sqrt(2) * math.tan(math.radians(half_field_deg))
-    angles = np.linspace(0, math.degrees(math.atan(corner)), _KNOTS)
+    angles = _field_deg(half_field_deg)
     share_at, sun_at = _at(emitter, band, sky, angles)
     return Passband(angles, share_at, sun_at, normal.illuminance_lx)
 

@@ -13,6 +13,7 @@ from twin.system import System
 Array = NDArray[np.float64]
 Outline = Literal["square", "disc"]
 FAR = 100.0  # radii of the pupil
+_PARTS = 64  # of the field along each side, over which the filter's shift is averaged
 
 
 def cell_centres(n: int) -> NDArray[np.float64]:
@@ -39,16 +40,24 @@ class Collection:
     @property
     def field_area(self) -> float:
         """Area of the field on the plane at distance 1."""
-        if self.outline == "square":
-            return 4 * self.tan_half_field**2
-        return math.pi * self.tan_half_field**2
+        return field_area(self.tan_half_field, self.outline)
+
+
+def field_area(tan_half_field: float, outline: Outline) -> float:
+    """Area of a square or disc on the plane at distance 1."""
+    return (4 if outline == "square" else math.pi) * tan_half_field**2
+
+
+def field_stop(system: System) -> tuple[float, Outline]:
+    """Tangent of half the detector's field, and its outline."""
+    tangent = math.tan(math.radians(system.optics.field_of_view_deg.value) / 2)
+    return tangent, "square" if system.has_square_field else "disc"
 
 
 def collection(system: System) -> Collection:
     """Lens, field stop and filter of a system, as one collector."""
     optics, focal_length = system.optics, system.focal_length_m
-    outline: Outline = "square" if system.has_square_field else "disc"
-    tangent = math.tan(math.radians(optics.field_of_view_deg.value) / 2)
+    tangent, outline = field_stop(system)
     n = optics.f_number.value
     return Collection(
         outline=outline,
@@ -73,6 +82,16 @@ def mean_cos_power(power: float, tan_half_field: float, outline: Outline) -> flo
         return float(weight @ cos2 ** (power / 2) @ weight / 4)
     r2 = t**2 * (node + 1) / 2  # uniform in r^2
     return float(weight @ (1 + r2) ** (-power / 2) / 2)
+
+
+def field_angles(half: float, power: int, seen: tuple[float, Outline]) -> tuple[Array, Array]:
+    """Angles to the axis, degrees, over a square of half width ``half`` on the plane at distance 1,
+    and cos^power there, 0 outside what is ``seen``: half width or radius, and outline.
+    """
+    radius = np.hypot(*np.meshgrid(*[cell_centres(_PARTS) * half] * 2))
+    angles = np.arctan(radius)
+    outside = (seen[1] == "disc") & (radius > seen[0])
+    return np.degrees(angles), np.cos(angles) ** power * ~outside
 
 
 def near_pupil_m(lens: Collection, distance_m: float) -> float:
@@ -121,15 +140,36 @@ def wall_power_w(
     lens = collection(system)
     if lens.outline != "square" and baseline_m:
         raise InputError("closed form with a baseline holds for square fields only")
-    t, shift = lens.tan_half_field, baseline_m / distance_m
-    lit, near = lit_tan(system), (near_pupil_m(lens, distance_m) / distance_m) ** 2
+    near = (near_pupil_m(lens, distance_m) / distance_m) ** 2
+    field = lens.tan_half_field, lens.outline
+    integral = _wall_integral(*field, lit_tan(system), baseline_m / distance_m, near)
+    intensity = system.emitter.radiant_intensity_w_per_sr.value
+    gain = intensity * reflectance / math.pi * lens.transmission * lens.pupil_area_m2
+    return gain * integral / distance_m**2
+
+
+def wall_share(system: System) -> float:
+    """Light of a far wall, all cells lit, over that of the on-axis formula with all of the field
+    lit: the lit share with the cosines of the field.
+    """
+    t, outline = field_stop(system)
+    return _wall_integral(t, outline, lit_tan(system)) / field_area(t, outline)
+
+
+def _wall_integral(
+    t: float, outline: Outline, lit: float, shift: float = 0.0, near: float = 0.0
+) -> float:
+    """Integral of the cosines over what is seen and lit on the plane at distance 1.
+
+    ``shift``: baseline over distance; ``near``: (R / z)^2 of the pupil, where it counts.
+    """
     node, weight = np.polynomial.legendre.leggauss(64)
-    if lens.outline == "square" or lit < t:
+    if outline == "square" or lit < t:
         low, high = max(-lit, shift - t), min(lit, shift + t)
         if low >= high:
             return 0.0
         x = ((low + high) / 2 + (high - low) / 2 * node)[:, None]
-        up = _within_disc(t, lit, x) if lens.outline == "disc" else np.full_like(x, min(lit, t))
+        up = _within_disc(t, lit, x) if outline == "disc" else np.full_like(x, min(lit, t))
         y = up * node
         from_emitter = 1 + x**2 + y**2
         to_detector = 1 + (x - shift) ** 2 + y**2
@@ -137,12 +177,8 @@ def wall_power_w(
         kernel = up * from_emitter**-1.5 / to_detector**2
         if near:
             kernel /= 1 + near / to_detector
-        integral = float(weight @ kernel @ weight) * (high - low) / 2
-    elif near:
+        return float(weight @ kernel @ weight) * (high - low) / 2
+    if near:
         cos2 = 1 / (1 + t**2 * (node + 1) / 2)
-        integral = float(weight @ (cos2**3.5 / (1 + near * cos2)) / 2) * lens.field_area
-    else:
-        integral = mean_cos_power(7, t, "disc") * lens.field_area
-    intensity = system.emitter.radiant_intensity_w_per_sr.value
-    gain = intensity * reflectance / math.pi * lens.transmission * lens.pupil_area_m2
-    return gain * integral / distance_m**2
+        return float(weight @ (cos2**3.5 / (1 + near * cos2)) / 2) * field_area(t, outline)
+    return mean_cos_power(7, t, "disc") * field_area(t, outline)

@@ -33,7 +33,7 @@ class SunInBand:
     irradiance_w_per_m2: float
 
 
-def sun_in_band(sky: Sky, band: Filter, angle_deg: float = 0.0) -> SunInBand:
+def sun_in_band(sky: Sky, band: Filter, angle_deg: Any = 0.0) -> SunInBand:
     """Illuminance and band irradiance of a sky, on the plane normal to the sun, for an angle of
     incidence on the filter. Illuminance and flat band may hold arrays that broadcast.
     """

@@ -5,6 +5,7 @@ Everything is integrated over wavelength on a fine grid, except where a closed f
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,11 @@ Array = NDArray[np.float64]
 _FINE = 20_001  # points of a numerical integral over a line or a band
 
 
-def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> float:
+def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: Any = 0.0) -> float:
     """Share of the emitter's line that the filter transmits at an angle.
 
-    A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112. Line and flat
-    band may hold arrays that broadcast.
+    A Gaussian line of 100 nm full width at half maximum through 1550 +/- 6 nm: 0.112. Line, flat
+    band and angle may hold arrays that broadcast.
     """
     if emitter.spectrum_csv is None and band.transmission_csv is None:
         sigma = emitter.line_fwhm_m.value / math.sqrt(8 * math.log(2))
@@ -37,15 +38,16 @@ def in_band_fraction(emitter: Emitter, band: Filter, angle_deg: float = 0.0) -> 
     return float(np.trapezoid(through, fine) / np.trapezoid(line, nm))
 
 
-def angle_shift(band: Filter, angle_deg: float) -> float:
-    """Factor by which a filter's wavelengths shrink at an angle: sqrt(1 - (sin / n)^2).
+def angle_shift(band: Filter, angle_deg: Any) -> Any:
+    """Factor by which a filter's wavelengths shrink at an angle, or at each of an array:
+    sqrt(1 - (sin / n)^2).
 
     1 where the filter has no effective index.
     """
     if band.effective_index is None:
         return 1.0
-    ratio = math.sin(math.radians(angle_deg)) / band.effective_index.value
-    return math.sqrt(1 - ratio**2)
+    ratio = np.sin(np.radians(angle_deg)) / band.effective_index.value
+    return np.sqrt(1 - ratio**2)
 
 
 def filter_shape(band: Filter, wavelength_nm: Array, angle_deg: float = 0.0) -> Array:

@@ -1,7 +1,9 @@
 """Points of the closed form, all at once: one pixel's link as arrays.
 
-A system whose swept fields hold one number per point goes through the same formulas as one that
-holds a number. Text, and what is integrated over a vendor's curve, is taken value by value.
+Light, noise and the converter's range are those of `twin budget`, of one exposure with all cells
+lit; what is left out of a system is told of each point. A system whose swept fields hold one number
+per point goes through the same formulas as one that holds a number. Text, and what is integrated
+over a vendor's curve, is taken value by value.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,13 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.budget.design import left_out_of_exposure
+from twin.budget.field import field_link
 from twin.budget.link import (
+    LongerNoise,
     OpticalLink,
     maximum_distance_m,
     minimum_time_s,
     noise_e,
 )
-from twin.budget.table1 import link_of
 from twin.detector import FrontEnd
 from twin.files import InputError
 from twin.sweep.inputs import Inputs
@@ -46,6 +50,13 @@ _ARRAYS = (
     "system.detector.excess_noise_factor",
     "system.detector.ionisation_ratio",
     "system.sky.illuminance_lx",
+    "system.emitter.intensity_noise",
+    "system.readout.transimpedance_ohm",
+    "system.readout.feedback_capacitance_f",
+    "system.readout.full_well_e",
+    "system.readout.temperature_k",
+    "system.readout.adc_full_scale_v",
+    "system.readout.adc_offset_v",
 )
 #: The same, but where a vendor's curve has to be integrated.
 _WAVELENGTHS = (
@@ -61,14 +72,24 @@ _OF_THE_POINT = LINK | {
 }
 
 
+_LONGER = tuple(LongerNoise.__dataclass_fields__)
+#: Of the front end, see `_of_front_end`.
+_OWN = (
+    *("time_s", "read_e", "rounding_e", *_LONGER),
+    *("per_electron", "per_rate", "offset", "well"),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class ClosedForm:
     """Metrics of points by name, (n,) each, and of each point its ``fill``: all that is collected
-    with all cells lit, over the converter's range, or over the well if that is less.
+    with all cells lit, over the converter's range, or over the well if that is less; and what is
+    ``left_out`` of its system, in words.
     """
 
     metrics: dict[str, Array]
     fill: Array
+    left_out: Array
 
 
 def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
@@ -80,52 +101,62 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
     columns = columns or {"system": np.array([study.system])}  # nothing is set or varied
     n = len(next(iter(columns.values())))
     _check(columns)
-    own = ("time", "read", "per_electron", "per_rate", "offset", "well")
-    values = {name: np.empty(n) for name in (*OpticalLink.__dataclass_fields__, *own)}
+    own = {name: np.empty(n) for name in _OWN}
+    values = {name: np.empty(n) for name in OpticalLink.__dataclass_fields__}
+    left_out = np.full(n, "", dtype=object)
     for points, system, link in _links(study, columns, inputs):
-        for name in OpticalLink.__dataclass_fields__:
-            values[name][points] = getattr(link, name)
-        values["time"][points] = system.acquisition.integration_time_s.value
-        values["read"][points] = system.readout.read_noise_e.value
-        for name, value in _of_range(system).items():
-            values[name][points] = value
-    per_electron, per_rate, offset, well = (
-        values.pop(name) for name in ("per_electron", "per_rate", "offset", "well")
-    )
-    time = columns.get("system.acquisition.integration_time_s", values.pop("time"))
-    read = columns.get("system.readout.read_noise_e", values.pop("read"))
-    link = OpticalLink(**values)
+        for name, column in values.items():
+            column[points] = getattr(link, name)
+        for name, value in _of_front_end(system).items():
+            own[name][points] = value
+        left_out[points] = "; ".join(left_out_of_exposure(system))
+    link, longer = OpticalLink(**values), LongerNoise(*(own[name] for name in _LONGER))
+    time = columns.get("system.acquisition.integration_time_s", own["time_s"])
+    read = columns.get("system.readout.read_noise_e", own["read_e"])
     distance = columns.get("link.distance_m", np.float64(5.0))
     reflectance = columns.get("link.reflectance", np.float64(0.5))
     signal = link.signal_e_per_s(reflectance, distance)
     background = link.background_e_per_s(reflectance)
-    shot = {"shot_variance": link.shot_variance}
+    read = np.hypot(read, own["rounding_e"])
+    more: dict[str, Any] = {"shot_variance": link.shot_variance, "longer": longer}
     results = {
         "signal_e_per_s": signal,
         "background_e_per_s": background,
-        "snr": signal * time / noise_e(signal, background, time, read, **shot),
-        "minimum_time_s": minimum_time_s(signal, background, read, **shot),
+        "snr": signal * time / noise_e(signal, background, time, read, **more),
+        "minimum_time_s": minimum_time_s(signal, background, read, **more),
         "maximum_distance_m": maximum_distance_m(
-            link.signal_e_per_s(reflectance, 1.0), background, time, read, **shot
+            link.signal_e_per_s(reflectance, 1.0), background, time, read, **more
         ),
     }
     rate = signal + background
-    fill = np.maximum(offset + rate * (per_electron * time + per_rate), rate * time * well)
+    fill = own["offset"] + rate * (own["per_electron"] * time + own["per_rate"])
+    fill = np.maximum(fill, rate * time * own["well"])
     return ClosedForm(
         {name: np.broadcast_to(results[name], (n,)) for name in study.metrics},
         np.broadcast_to(fill, (n,)),
+        left_out,
     )
 
 
-def _of_range(system: System) -> dict[str, float]:
-    """What the offset takes of the converter's range, and an electron of it or, behind an amplifier
-    that averages, an electron per second; and what an electron takes of one pixel's well.
+def _of_front_end(system: System) -> dict[str, Any]:
+    """Of the system's own exposure, open all the time: its length and noise; what the offset takes
+    of the converter's range, an electron of it or, behind an amplifier that averages, an electron
+    per second, and an electron of one pixel's well.
     """
-    front_end, top = FrontEnd.of(system), 2**system.readout.adc_bits.value - 1
-    averages = system.readout.transimpedance_ohm is not None
-    of_electron = 1 / (front_end.electrons_per_count * top)
     exposure_s = system.acquisition.integration_time_s.value
+    front_end = FrontEnd.of(system.unchecked_copy({"time_of_flight": None}))
+    top = 2**front_end.adc_bits - 1
+    averages = system.readout.transimpedance_ohm is not None
+    fluctuation = system.emitter.intensity_noise
+    of_electron = 1 / (front_end.electrons_per_count * top)
+    rounding_e = front_end.electrons_per_count / np.sqrt(12)
     return {
+        "time_s": exposure_s,
+        "read_e": front_end.read_e,
+        "rounding_e": 0.0 if averages else rounding_e,
+        "e2_per_s": front_end.johnson_e**2 / exposure_s,
+        "fluctuation": fluctuation.value if fluctuation else 0.0,
+        "e_per_s": rounding_e / exposure_s if averages else 0.0,
         "per_electron": 0.0 if averages else of_electron,
         "per_rate": of_electron * exposure_s if averages else 0.0,
         "offset": front_end.offset_counts / top,
@@ -141,15 +172,16 @@ def _links(
     arrays = [n for n in free if n in (*_ARRAYS, *_WAVELENGTHS) and columns[n].dtype.kind in "if"]
     for points in _alike(columns, [name for name in free if name not in arrays]):
         first = {name: columns[name][points[0]].item() for name in free}
-        single = _WAVELENGTHS if _has_curves(*_made(study, first, inputs)) else ()
+        single = _one_by_one(*_made(study, first, inputs))
         for some in _alike(columns, [name for name in arrays if name in single], points):
             own = {name: columns[name][some] for name in arrays if name not in single}
             first = {name: columns[name][some[0]].item() for name in free}
             system, part = _made(study, first, inputs)
             for corner in _corners(own):
                 _made(study, first | corner, inputs)
-            link = link_of(_filled(system, own), _filled(part, own))
-            yield some, system, link
+            of_part = {n: column for n, column in own.items() if _section(n) == "detector"}
+            system = _filled(system, {n: own[n] for n in own.keys() - of_part.keys()})
+            yield some, system, field_link(system, _filled(part, of_part))
 
 
 def _alike(columns: Columns, names: list[str], points: Array | None = None) -> Iterator[Array]:
@@ -181,9 +213,16 @@ def _made(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[Syste
     return system, part
 
 
-def _has_curves(system: System, part: Part) -> bool:
+def _one_by_one(system: System, part: Part) -> tuple[str, ...]:
+    """Of the numbers of a link, those that are taken value by value: over which a vendor's curve is
+    integrated.
+    """
     files = (system.emitter.spectrum_csv, system.filter.transmission_csv)
-    return any((*files, part.detector is not None and part.detector.responsivity_csv))
+    if not any((*files, part.detector is not None and part.detector.responsivity_csv)):
+        return ()
+    place = system.filter.place
+    of_cone = place is not None and place.value == "behind lens"
+    return (*_WAVELENGTHS, "system.optics.f_number") if of_cone else _WAVELENGTHS
 
 
 def _corners(own: Columns) -> Iterator[dict[str, float]]:

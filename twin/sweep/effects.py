@@ -8,7 +8,7 @@ import numpy as np
 from twin.files import InputError
 from twin.scene.load import scene_file
 from twin.sweep.closed_form import closed_form
-from twin.sweep.dataset import COARSE, metrics_of
+from twin.sweep.dataset import COARSE, VOID, metrics_of
 from twin.sweep.inputs import ChangedError, Inputs, beside
 from twin.sweep.setup import setup
 from twin.sweep.study import Study
@@ -59,13 +59,15 @@ def _try(study: Study, index: int, inputs: Inputs) -> None:
 
 
 def without_effect(data: "xarray.Dataset") -> Iterator[str]:
-    """Parameters along whose dimension no metric changes, bit for bit, in any point."""
-    metrics = metrics_of(data)
+    """Parameters along whose dimension no metric changes, bit for bit, in any point, nor whether
+    it is void.
+    """
+    columns = [*metrics_of(data), *(name for name in VOID.values() if name in data)]
     coarse = data.get(COARSE)
     for name in data.coords:
         (dimension,) = data[name].dims
         if data.sizes[dimension] > 1 and not any(
-            _changes(data[metric], dimension, coarse) for metric in metrics
+            _changes(data[column].astype(np.float64), dimension, coarse) for column in columns
         ):
             yield str(name)
 

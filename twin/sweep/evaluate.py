@@ -142,6 +142,9 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
             text = f"all cells lit are {100 * found.fill[k]:.3g} % of the converter's range or well"
             chunk.warnings.setdefault("saturated", {})[start + k] = text
             chunk.void.setdefault("camera", []).append(start + k)
+        for k in np.flatnonzero(found.left_out != "").tolist():
+            text = f"the closed form leaves out {found.left_out[k]}"
+            chunk.warnings.setdefault("left_out", {})[start + k] = text
         for name, column in chunk.values.items():
             for i in np.flatnonzero(np.isnan(column)):
                 why = f"InputError: {name} is not a number: values beyond what float64 holds"

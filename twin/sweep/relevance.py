@@ -6,15 +6,18 @@ from collections.abc import Iterable
 from twin.errors import InputError
 from twin.sweep.names import needs_image, needs_radar
 
-#: All that the closed form looks at: one pixel on the axis, without air.
+#: All that the closed form looks at: one pixel, without air.
 _CLOSED_FORM = re.compile(
     r"link\.(distance_m|reflectance)|system|"
-    r"system\.emitter\.(part|radiant_intensity_w_per_sr|peak_wavelength_m|line_fwhm_m|spectrum_csv)|"
-    r"system\.filter\.(part|center_wavelength_m|width_m|transmission|transmission_csv)|"
-    r"system\.optics\.(part|f_number|transmission)|"
+    r"system\.emitter\.(part|radiant_intensity_w_per_sr|peak_wavelength_m|line_fwhm_m|spectrum_csv|"
+    r"field_of_view_deg|intensity_noise)|"
+    r"system\.filter\.(part|center_wavelength_m|width_m|transmission|transmission_csv|"
+    r"effective_index|place)|"
+    r"system\.optics\.(part|f_number|transmission|field_of_view_deg|field_stop)|"
     r"system\.detector\.(part|shape|width_m|height_m|responsivity_a_per_w|responsivity_csv|"
     r"dark_current_a|gain|excess_noise_factor|ionisation_ratio)|"
-    r"system\.readout\.(part|read_noise_e)|system\.acquisition\.(part|integration_time_s)|"
+    r"system\.readout\.(part|read_noise_e|transimpedance_ohm|feedback_capacitance_f|full_well_e|"
+    r"temperature_k|adc_bits|adc_full_scale_v|adc_offset_v)|system\.acquisition\.(part|integration_time_s)|"
     r"system\.sky\.(part|illuminance_lx|sun_elevation_deg)"
 )
 _OF_LINK = re.compile(r"link\..*")

@@ -62,7 +62,7 @@ class Emitter(Strict):
     """Seed of the draw that makes the cells unequal. Default: 0."""
     intensity_noise: Sourced[Annotated[NonNegative, Field(lt=1)]] | None = None
     """Relative fluctuation of the whole emitter from exposure to exposure, rms. Default: none."""
-    switching_time_s: Sourced[NonNegative] | None = None
+    switching_time_s: Sourced[Annotated[NonNegative, Field(le=1e3)]] | None = None
     """Time in which a cell is switched on or off, 10 to 90 %, exponential. Default: at once."""
     kind: Sourced[Literal["led", "laser"]] | None = None
     """For eye safety alone, `led` (IEC 62471) or `laser` (IEC 60825-1)."""

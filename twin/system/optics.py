@@ -15,6 +15,8 @@ _SUN_BAND_M = (280e-9, 4000e-9)
 class Filter(Strict):
     """Band-pass filter, flat inside its width."""
 
+    limits: ClassVar = {"width_m": (1e-15, 1e-3)}
+
     center_wavelength_m: Sourced[Positive]
     """Middle of the pass band at normal incidence."""
     width_m: Sourced[Positive]

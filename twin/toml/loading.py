@@ -64,13 +64,20 @@ def bundled(folder: Path) -> list[str]:
 
 def _find(name: str, kind: str, folder: Path) -> Path:
     entry, path = folder / f"{name.lower()}.toml", Path(name)
-    if entry.is_file() and path.suffix != ".toml":
+    if _is_file(entry) and path.suffix != ".toml":
         return entry
-    if path.is_file():
+    if _is_file(path):
         return path
     raise InputError(
-        f"{kind}: {name!r} is neither a TOML file nor one of {', '.join(bundled(folder))}"
+        f"{kind}: {name!r:.200} is neither a TOML file nor one of {', '.join(bundled(folder))}"
     )
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that no file may have
+        return False
 
 
 def _with_base(
@@ -89,7 +96,7 @@ def _with_base(
     if path in seen:
         raise InputError(f"{path}: base: {kind}s build on each other in a circle")
     sibling = path.parent / base
-    found = sibling if sibling.is_file() else _find(base, f"{path}: base", folder)
+    found = sibling if _is_file(sibling) else _find(base, f"{path}: base", folder)
     below = _with_base(found, kind, folder, model, (*seen, path))
     for section, value in content.items():
         if isinstance(value, dict) and isinstance(below.get(section), dict):
