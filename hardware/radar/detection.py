@@ -28,12 +28,13 @@ from hardware.radar.refinement import (
 )
 from hardware.radar.sensitivity import side_lobe, weak_echoes
 from hardware.radar.windows import check_window, frequency_variance, normalised_window
-from hardware.radar.within_symbols import leakage_of
+from hardware.radar.within_symbols import leakage_of, without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 
 _OVER_LOBES = 20.0  # least power of an echo over the side lobes of others in its cell
+_ALIKE = 1.5  # ratio of an echo's power without the window and with it, at most
 _WITHIN = 1  # cells of a tapered echo within which a neighbour affects its position
 _ON_TAPERED = 0.2  # share of the false alarms of the windowed map, at least
 
@@ -145,7 +146,7 @@ def detect(
     """
     cfar = Cfar(false_alarm, guard=guard, training=training)
     echoes = detect_echoes(channel, waveform, image, cfar, window, at_most)
-    return [Detection.of(echo) for echo in echoes]
+    return [Detection.of(without_doppler_within_symbols(echo, waveform)) for echo in echoes]
 
 
 def detect_echoes(
@@ -220,7 +221,9 @@ def _strong_measurements(
     some = peaks[np.array(crowded, dtype=np.intp)]
     with_window = _measurements_at(channel, waveform, window, some, noise_w[1])
     for i, echo in zip(crowded, with_window, strict=True):
-        if not echoes[i].delay_or_rate_error < echo.delay_or_rate_error:
+        ratio = echoes[i].power_w / echo.power_w if echo.power_w else 1.0
+        is_another = not 1 / _ALIKE < ratio < _ALIKE  # a side lobe of a stronger one
+        if is_another or not echoes[i].delay_or_rate_error < echo.delay_or_rate_error:
             echoes[i] = echo
     return echoes
 

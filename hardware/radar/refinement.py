@@ -384,9 +384,12 @@ def residual_power(cells: NDArray[np.complex128]) -> float:
 def _cells_around(
     flat: NDArray[np.complex128], grid: BlockGrid, step: Array, reach: int
 ) -> NDArray[np.complex128]:
-    """Cells (n, n_cells) around a place of block sums (n, n_blocks)."""
+    """Cells and those halfway between (n, n_cells), around a place of block sums (n, n_blocks): on
+    whole cells from a place the side lobes of an echo as far from it are not seen.
+    """
     shape = len(grid.f_hz), len(grid.t_s)
-    cells = [np.arange(-min(reach, (n - 1) // 2), min(reach, (n - 1) // 2) + 1) for n in shape]
+    most = [min(reach, (n - 1) // 2) for n in shape]
+    cells = [np.arange(-2 * cells, 2 * cells + 1) / 2 for cells in most]
     across = np.exp(1j * np.outer(step[0] + cells[0], grid.by_delay))
     along = np.exp(1j * np.outer(grid.by_rate, step[1] + cells[1]))
     return np.asarray((across @ flat.reshape(-1, *shape) @ along).reshape(len(flat), -1))
