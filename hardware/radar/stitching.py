@@ -22,7 +22,7 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_LEAST_OVER_ECHOES_DB = 6.5  # with eight echoes as strong as the strongest, 1 of 20 is wrong
+_LEAST_OVER_ECHOES_DB = 6.5  # with eight echoes about as strong, 1 of 20 records is wrong
 
 
 @dataclass(frozen=True, eq=False)
