@@ -55,7 +55,8 @@ class Detection:
     range_rate_m_per_s
         Positive: receding; NaN from a single slot.
     power_w
-        Received by one antenna.
+        Received by one antenna, after the mean over a slot's repeats, whose loss at a target's rate
+        `rcs_m2` does not hold.
     snr_db
         Power of the peak over the noise of the map that it is measured on: with the window where
         another echo is near, else without, 6 dB less noise with the default window.

@@ -24,6 +24,7 @@ class EchoMeasurement:
     not measured are NaN: the rate
     from a single slot, the delay from a single subcarrier. ``delay_rate_alternatives``: other rates
     that the record cannot exclude, likeliest first. ``window``: with which it was measured.
+    ``is_corrected``: whether what Doppler within symbols makes of it is taken out already.
     """
 
     delay_s: float
@@ -37,6 +38,7 @@ class EchoMeasurement:
     noise: ChannelNoise
     delay_rate_alternatives: tuple[float, ...] = ()
     window: str = "boxcar"
+    is_corrected: bool = False
 
     @property
     def delay_or_rate_error(self) -> float:

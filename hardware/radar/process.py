@@ -249,7 +249,8 @@ def _detections(
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
-    return points, [*warnings, *_side_lobes(points, interval, how), *_ambiguous(points)]
+    warnings += [*_shifted(points, interval.waveform, how), *_side_lobes(points, interval, how)]
+    return points, [*warnings, *_ambiguous(points)]
 
 
 def _warnings(
@@ -363,6 +364,20 @@ def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
     return [
         f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
         f"{why}, which its error does not hold"
+    ]
+
+
+def _shifted(points: Sequence[Detection], waveform: OfdmWaveform, how: Processing) -> list[str]:
+    """A warning of ranges of a single slot, which tells no rate to correct them by."""
+    if waveform.n_slots > 1 or waveform.symbols != "zadoff-chu":
+        return []
+    turns = 2 * how.fastest_m_per_s / waveform.wavelength_m * waveform.symbol_s
+    shift_m = turns * waveform.range_cell_m
+    if not any(point.range_error_m < shift_m for point in points):
+        return []
+    return [
+        f"range: one slot tells no range rate; up to {how.fastest_m_per_s:g} m/s (fastest_m_per_s) "
+        f"Doppler within the symbol shifts ranges by up to {shift_m:.2g} m, which no error holds"
     ]
 
 

@@ -18,6 +18,7 @@ from hardware.radar.demodulation import Complex
 from hardware.radar.joint_fit import JointFit, JointModel
 from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
 from hardware.radar.refinement import blocks_about, residual_cells
+from hardware.radar.within_symbols import channel_without_leakage
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -104,7 +105,8 @@ def resolve(
     model, which is 60 dB and more below a target because of single precision and the blocks.
     """
     place = np.array([echo.delay_s]), np.array([echo.delay_rate])
-    (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
+    still = channel_without_leakage(channel, echo, waveform, noise_w)
+    (blocks,) = blocks_about(still, waveform, "boxcar", *place)
     split = [echo, *together]
     middle = np.array([blocks.delay_s, blocks.delay_rate])
     middles = _steps_of(split, middle, blocks.grid.cell)
@@ -116,7 +118,13 @@ def resolve(
     for i in range(len(search.targets_of(fit))):
         part = _measurement(search.model, fit, i, waveform, noise_w)
         nearest = split[int(np.argmin(np.abs(middles - fit.places[i]).max(axis=1)))]
-        parts.append(replace(part, delay_rate_alternatives=nearest.delay_rate_alternatives))
+        parts.append(
+            replace(
+                part,
+                delay_rate_alternatives=nearest.delay_rate_alternatives,
+                is_corrected=still is not channel,
+            )
+        )
     return sorted(parts, key=lambda part: part.delay_s)
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.refinement import Blocks, echo_amplitudes
 from hardware.radar.windows import normalised_window
@@ -29,8 +30,10 @@ def without_doppler_within_symbols(
     the samples of a symbol.
     """
     turns = abs(echo.delay_rate) * waveform.carrier_hz * waveform.symbol_s
-    if not turns * waveform.delay_cell_s > _NEGLIGIBLE * echo.delay_error_s:
-        return echo  # NaN, too: a delay or rate that is not measured
+    if echo.is_corrected or not (
+        turns * waveform.delay_cell_s > _NEGLIGIBLE * echo.delay_error_s
+    ):  # or not measured, NaN
+        return echo
     response = leaked_response(waveform, echo.delay_s, echo.delay_rate)
     shift_s, gain = _highest_point(response, waveform, echo.window)
     kept = max(gain, _LEAST_GAIN) ** 2
@@ -40,6 +43,21 @@ def without_doppler_within_symbols(
         power_w=echo.power_w / kept,
         power_error_w=echo.power_error_w / kept,
     )
+
+
+def channel_without_leakage(
+    channel: Complex, echo: EchoMeasurement, waveform: OfdmWaveform, noise_w: float
+) -> Complex:
+    """A channel (..., n_subcarriers, n_slots) in which an echo, and others of about its delay and
+    rate, are as if they did not turn the samples of a symbol; the same one where that is nothing
+    beside the noise of a cell.
+    """
+    turn = np.pi * np.nan_to_num(echo.delay_rate) * waveform.carrier_hz * waveform.symbol_s
+    if np.isnan(echo.delay_s) or not turn**2 / 3 * echo.power_w > _FELT * noise_w:
+        return channel
+    response = leaked_response(waveform, echo.delay_s, echo.delay_rate)
+    undone = response.conj() / np.maximum(np.abs(response) ** 2, _LEAST_GAIN)
+    return np.asarray(channel * undone.astype(channel.dtype)[:, None])
 
 
 def leakage_of(
