@@ -28,6 +28,10 @@ MIMO = {
     "transmitters_m": np.array([[0, 0, 0], [0, 4 * HALF, 0]]),
     "receivers_m": np.array([[0, i * HALF, 0] for i in range(4)]),
 }
+#: 3 transmitters by turns and 4 receivers, as `hybrid-79-mimo`, an eighth of its cells.
+TURNS = OfdmWaveform(79e9, 1024, 3.90625e6, 129, 39.0625e-6, 37, 0.25e-6)
+
+
 #: 500 MHz at once, in coarse subcarriers; a burst of one slot.
 BAND = OfdmWaveform(2.5e9, 100, 5e6, 1, 1e-3, 1, 0.1e-6)
 
@@ -119,6 +123,11 @@ def cube(
         device="test",
         pose=tuple(QuaternionPose(*numbers) for numbers in poses.tolist()),
     )
+
+
+def noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Complex, of mean power 1."""
+    return rng.normal(size=(*shape, 2)).view(np.complex128)[..., 0] / np.sqrt(2)
 
 
 def calibrated(record: RadarRecord, **changes: float) -> RadarRecord:
