@@ -30,8 +30,6 @@ MIMO = {
 }
 #: 3 transmitters by turns and 4 receivers, as `hybrid-79-mimo`, an eighth of its cells.
 TURNS = OfdmWaveform(79e9, 1024, 3.90625e6, 129, 39.0625e-6, 37, 0.25e-6)
-
-
 #: 500 MHz at once, in coarse subcarriers; a burst of one slot.
 BAND = OfdmWaveform(2.5e9, 100, 5e6, 1, 1e-3, 1, 0.1e-6)
 
