@@ -108,7 +108,9 @@ def test_levels_hold_those_of_a_finer_trace(
     evaluations: tuple[RadarEvaluation, RadarEvaluation],
 ) -> None:
     """Of every detection 20 dB above the noise, and within what the model alone is off by, but for
-    what noise and rounding of the converter in between leave different, 0.1 dB.
+    what noise and rounding of the converter in between leave different, 0.1 dB, and its standard
+    error, which holds what echoes beside it move it by: some lie in the side lobes of stronger
+    ones, on four cells of range.
     """
     found, fine = evaluations
     cell = found.waveform.range_cell_m
@@ -119,10 +121,11 @@ def test_levels_hold_those_of_a_finer_trace(
         truths = [
             10 * math.log10(each.power_w * 1e3)
             for each in fine.detections
-            if abs(each.range_m - detection.range_m) < cell
+            if abs(each.range_m - detection.range_m) < 4 * cell
         ]
         level = interval.level_dbm.of_model
-        assert any(level.low - 0.1 <= truth <= level.high + 0.1 for truth in truths)
+        more = 0.1 + 3 * 10 / math.log(10) * detection.power_error_w / detection.power_w
+        assert any(level.low - more <= truth <= level.high + more for truth in truths)
 
 
 def test_a_weak_body_far_from_a_strong_one_has_its_own_error(
