@@ -228,7 +228,8 @@ def test_echoes_that_no_instant_changes_are_those_of_one() -> None:
 def test_a_target_whose_object_is_drawn_elsewhere(carrier_x_m: float) -> None:
     """A point that crosses at 300 m/s, 20 m away, carried by a mesh there or far behind the radar:
     within 1.3 % rms of the sum over repeats of exact delays, with the level of range, antenna and
-    averaging; the sum has no Doppler within symbols, by up to 22 m/s at the ends. By the mesh behind alone one instant was enough, 22 % off rms and 70 % at the ends.
+    averaging; the sum has no Doppler within symbols, by up to 22 m/s at the ends.
+    By the mesh behind alone one instant was enough, 22 % off rms and 70 % at the ends.
     """
     item = plate("b", (carrier_x_m, 0.0, 0.0), 0.1, radar="declared")
     speed = 300.0
