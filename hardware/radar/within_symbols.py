@@ -30,9 +30,8 @@ def without_doppler_within_symbols(
     the samples of a symbol.
     """
     turns = abs(echo.delay_rate) * waveform.carrier_hz * waveform.symbol_s
-    if echo.is_corrected or not (
-        turns * waveform.delay_cell_s > _NEGLIGIBLE * echo.delay_error_s
-    ):  # or not measured, NaN
+    is_felt = turns * waveform.delay_cell_s > _NEGLIGIBLE * echo.delay_error_s  # not of NaN
+    if echo.is_corrected or not is_felt:
         return echo
     response = leaked_response(waveform, echo.delay_s, echo.delay_rate)
     shift_s, gain = _highest_point(response, waveform, echo.window)
@@ -52,8 +51,7 @@ def channel_without_leakage(
     rate, are as if they did not turn the samples of a symbol; the same one where that is nothing
     beside the noise of a cell.
     """
-    turn = np.pi * np.nan_to_num(echo.delay_rate) * waveform.carrier_hz * waveform.symbol_s
-    if np.isnan(echo.delay_s) or not turn**2 / 3 * echo.power_w > _FELT * noise_w:
+    if np.isnan(echo.delay_s) or not _leaks(echo.delay_rate, echo.power_w, waveform, noise_w):
         return channel
     response = leaked_response(waveform, echo.delay_s, echo.delay_rate)
     undone = response.conj() / np.maximum(np.abs(response) ** 2, _LEAST_GAIN)
@@ -67,12 +65,17 @@ def leakage_of(
     (n_subcarriers,); None where it is nothing beside the noise of a cell.
     """
     delay_s, delay_rate = np.array([blocks.delay_s, blocks.delay_rate]) + step * blocks.grid.cell
-    turn = np.pi * delay_rate * waveform.carrier_hz * waveform.symbol_s
     power_w = float(np.mean(np.abs(echo_amplitudes(blocks, step)) ** 2))
-    if not turn**2 / 3 * power_w > _FELT * noise_w:
+    if not _leaks(float(delay_rate), power_w, waveform, noise_w):
         return None
     response = leaked_response(waveform, float(delay_s), float(delay_rate))
     return response / response.mean() - 1
+
+
+def _leaks(delay_rate: float, power_w: float, waveform: OfdmWaveform, noise_w: float) -> bool:
+    """Whether what an echo leaks is felt beside the noise of a cell; not at a rate of NaN."""
+    turn = np.pi * delay_rate * waveform.carrier_hz * waveform.symbol_s
+    return bool(turn**2 / 3 * power_w > _FELT * noise_w)
 
 
 def leaked_response(
