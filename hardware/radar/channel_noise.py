@@ -88,6 +88,11 @@ class ChannelNoise:
         ]
         return np.asarray(np.sqrt(np.real(powers) / (2 * self.signal_w(amplitude))))
 
+    def and_white(self, power_w: float) -> "ChannelNoise":
+        """With white noise of so much power on every channel beside it."""
+        more = power_w * np.eye(len(self.covariance_w))
+        return ChannelNoise(self.covariance_w + more, self.least_w + power_w)
+
     def scaled(self, factor: float) -> "ChannelNoise":
         """With ``factor`` times the power on all channels."""
         return ChannelNoise(factor * self.covariance_w, factor * self.least_w)

@@ -14,6 +14,7 @@ from hardware.radar.measurement import (
     EchoMeasurement,
     cells_apart,
     echo_measurement,
+    with_noise,
     without_duplicates,
 )
 from hardware.radar.peaks import Peaks, peaks_above
@@ -35,6 +36,7 @@ Array = NDArray[np.float64]
 
 _OVER_LOBES = 20.0  # least power of an echo over the side lobes of others in its cell
 _ALIKE = 1.5  # ratio of an echo's power without the window and with it, at most
+_BESIDE = 1.0  # cells, within which echoes are one to all that is measured here
 _WITHIN = 1  # cells of a tapered echo within which a neighbour affects its position
 _ON_TAPERED = 0.2  # share of the false alarms of the windowed map, at least
 
@@ -211,14 +213,19 @@ def _strong_measurements(
     """
     size = max(waveform.n_subcarriers, waveform.n_slots)
     worse = frequency_variance(normalised_window(window, size)) / frequency_variance(np.ones(size))
-    echoes, crowded = [], []
-    for i, (about, step) in enumerate(zip(blocks, peak_offsets(blocks), strict=True)):
+    echoes, around_w = [], []
+    for about, step in zip(blocks, peak_offsets(blocks), strict=True):
         leakage = leakage_of(about, step, waveform, noise_w[0])
         around = residual_cells(about, step, leakage=leakage)
         noise = ChannelNoise.of_cells(around, noise_w[0])
         echoes.append(_measurement(about, step, waveform, noise_w[0], "boxcar", noise))
-        if residual_power(around) >= worse * peaks.noise_w[i]:
-            crowded.append(i)
+        around_w.append(residual_power(around))
+    lobes_w = _moved_by_others(echoes, peaks, waveform)
+    echoes = [
+        with_noise(echo, echo.noise.and_white(float(lobe_w)))
+        for echo, lobe_w in zip(echoes, lobes_w, strict=True)
+    ]
+    crowded = np.flatnonzero(np.array(around_w) + lobes_w >= worse * peaks.noise_w).tolist()
     some = peaks[np.array(crowded, dtype=np.intp)]
     with_window = _measurements_at(channel, waveform, window, some, noise_w[1])
     for i, echo in zip(crowded, with_window, strict=True):
@@ -227,6 +234,24 @@ def _strong_measurements(
         if is_another or not echoes[i].delay_or_rate_error < echo.delay_or_rate_error:
             echoes[i] = echo
     return echoes
+
+
+def _moved_by_others(
+    echoes: Sequence[EchoMeasurement], peaks: Peaks, waveform: OfdmWaveform
+) -> Array:
+    """Power of white noise (n,) that would move echoes as far as the side lobes of the others do,
+    with any phase, where these are steepest.
+
+    A side lobe of amplitude A / (pi d) in d cells moves an echo of amplitude 1 by 3 A / (pi^2 d)
+    cells at most; noise of power P moves it by the root of 3 P / (2 pi^2). Powers are those of the
+    map, where the lobes of stronger ones are not taken for an echo.
+    """
+    apart = cells_apart(echoes, echoes, waveform)
+    level = 1 / np.maximum(1.0, np.pi * apart) ** 2
+    slope = 1 / np.maximum(1.0, apart) ** 2 / np.pi**2
+    steepest = np.maximum(slope[..., 0] * level[..., 1], level[..., 0] * slope[..., 1])
+    steepest[apart.max(axis=-1) < _BESIDE] = 0.0
+    return np.asarray(3 * steepest @ peaks.power_w)
 
 
 def _measurements_at(
