@@ -37,9 +37,9 @@ from hardware.radar.refinement import (
     blocks_about,
     echo_amplitudes,
     peak_offsets,
-    residual_cells,
     unit_echoes,
 )
+from hardware.radar.residue import residual_cells
 from hardware.radar.within_symbols import leakage_of
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 

@@ -24,9 +24,8 @@ from hardware.radar.refinement import (
     blocks_about,
     echo_amplitudes,
     peak_offsets,
-    residual_cells,
-    residual_power,
 )
+from hardware.radar.residue import residual_cells, residual_power
 from hardware.radar.sensitivity import side_lobe, weak_echoes
 from hardware.radar.windows import check_window, frequency_variance, normalised_window
 from hardware.radar.within_symbols import leakage_of, without_doppler_within_symbols

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.measurement import EchoMeasurement, with_noise
-from hardware.radar.refinement import AROUND
+from hardware.radar.residue import AROUND
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hardware.blas import one_blas_thread
 from hardware.described import Described
 from hardware.errors import InputError, check_count, check_finite, check_kind, check_switch
-from hardware.radar.ambiguity import fastest_resolved, resolve_delay_rates
+from hardware.radar.ambiguity import resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
@@ -18,6 +18,13 @@ from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.clutter import without_static
 from hardware.radar.demodulation import Complex, Precision, check_precision
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
+from hardware.radar.detection_warnings import (
+    ambiguous,
+    coupled_ranges,
+    moving_side_lobes,
+    shifted_ranges,
+    untested_rates,
+)
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
@@ -244,13 +251,16 @@ def _detections(
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
     warnings = _warnings(burst, len(echoes), image, how, clutter)
     if echoes:
-        warnings += [*_untested(interval.waveform, how), *_coupled(interval, how)]
+        warnings += [*untested_rates(interval.waveform, how), *coupled_ranges(interval, how)]
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
-    warnings += [*_shifted(points, interval.waveform, how), *_side_lobes(points, interval, how)]
-    return points, [*warnings, *_ambiguous(points)]
+    warnings += [
+        *shifted_ranges(points, interval.waveform, how),
+        *moving_side_lobes(points, interval, how),
+    ]
+    return points, [*warnings, *ambiguous(points)]
 
 
 def _warnings(
@@ -332,82 +342,3 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
     still = compensate_motion(echo.amplitude, interval, bearing.delay_rate)
     alone = replace(point, azimuth_alternatives_rad=(), elevation_alternatives_rad=())
     return [replace(alone, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
-
-
-def _untested(waveform: OfdmWaveform, how: Processing) -> list[str]:
-    """A warning of range rates that cannot be told from slower ones."""
-    fastest = 2 / C_M_PER_S * how.fastest_m_per_s
-    resolved = fastest_resolved(waveform, fastest)
-    if resolved == fastest or waveform.max_velocity_m_per_s > how.fastest_m_per_s:
-        return []
-    return [
-        f"range rate: beyond {C_M_PER_S / 2 * resolved:.3g} m/s none is told from slower ones, "
-        f"of the {how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
-        f"{waveform.n_slots} slots every {waveform.slot_period_s:g} s are too slow"
-    ]
-
-
-def _coupled(interval: DemodulatedBurst, how: Processing) -> list[str]:
-    """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
-    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
-        why = (
-            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
-            "each m/s more"
-        )
-    elif interval.scatter_per_rate * how.fastest_m_per_s >= 1:
-        why = (
-            "carrier steps in this order smear over ranges what moves by "
-            f"{1 / interval.scatter_per_rate:.2g} m/s more"
-        )
-    else:
-        return []
-    return [
-        f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
-        f"{why}, which its error does not hold"
-    ]
-
-
-def _shifted(points: Sequence[Detection], waveform: OfdmWaveform, how: Processing) -> list[str]:
-    """A warning of ranges of a single slot, which tells no rate to correct them by."""
-    if waveform.n_slots > 1 or waveform.symbols != "zadoff-chu":
-        return []
-    turns = 2 * how.fastest_m_per_s / waveform.wavelength_m * waveform.symbol_s
-    shift_m = turns * waveform.range_cell_m
-    if not any(point.range_error_m < shift_m for point in points):
-        return []
-    return [
-        f"range: one slot tells no range rate; up to {how.fastest_m_per_s:g} m/s (fastest_m_per_s) "
-        f"Doppler within the symbol shifts ranges by up to {shift_m:.2g} m, which no error holds"
-    ]
-
-
-def _side_lobes(
-    points: Sequence[Detection], interval: DemodulatedBurst, how: Processing
-) -> list[str]:
-    """A warning of detections that may be side lobes of moving echoes, of carrier steps."""
-    rate = np.array([point.range_rate_m_per_s for point in points]) - how.range_rate_m_per_s
-    error = np.array([point.range_rate_error_m_per_s for point in points])
-    most = np.abs(rate) + np.fmin(2 * error, how.fastest_m_per_s)
-    most = np.where(np.isnan(most), how.fastest_m_per_s, most)
-    power_w = np.array([point.power_w for point in points])
-    lobe_w = np.minimum(interval.scatter_per_rate * most, 1) ** 2 * power_w
-    count = int(np.count_nonzero(power_w < lobe_w.max(initial=0.0)))
-    if not count:
-        return []
-    return [
-        f"range: {count} of {len(points)} detections may be side lobes of stronger ones that move "
-        f"at other rates than {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s) from step to step"
-    ]
-
-
-def _ambiguous(points: list[Detection]) -> list[str]:
-    """Warnings of ambiguous range rates and directions."""
-    counts = {
-        "range rate": sum(bool(point.range_rate_alternatives_m_per_s) for point in points),
-        "direction": sum(bool(point.azimuth_alternatives_rad) for point in points),
-    }
-    return [
-        f"{name}: ambiguous for {count} of {len(points)} detections, alternatives listed"
-        for name, count in counts.items()
-        if count
-    ]

@@ -17,7 +17,8 @@ from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.joint_fit import JointFit, JointModel
 from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
-from hardware.radar.refinement import blocks_about, residual_cells
+from hardware.radar.refinement import blocks_about
+from hardware.radar.residue import residual_cells
 from hardware.radar.within_symbols import channel_without_leakage
 from hardware.waveform import OfdmWaveform
 

@@ -14,7 +14,8 @@ from hardware.radar.angles import direction, steering, virtual_array
 from hardware.radar.burst import demodulate
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.detection import detect_echoes
-from hardware.radar.refinement import blocks_about, peak_offsets, residual_cells, residual_power
+from hardware.radar.refinement import blocks_about, peak_offsets
+from hardware.radar.residue import residual_cells, residual_power
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import MIMO, WIDE, C, Echo, cube
 

@@ -1,0 +1,95 @@
+"""What the ranges and rates of a burst's detections may be other than they say, in words."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hardware.radar.ambiguity import fastest_resolved
+from hardware.radar.burst import DemodulatedBurst
+from hardware.radar.detection import Detection
+from hardware.waveform import C_M_PER_S, OfdmWaveform
+
+if TYPE_CHECKING:
+    from hardware.radar.process import Processing
+
+
+def untested_rates(waveform: OfdmWaveform, how: "Processing") -> list[str]:
+    """A warning of range rates that cannot be told from slower ones."""
+    fastest = 2 / C_M_PER_S * how.fastest_m_per_s
+    resolved = fastest_resolved(waveform, fastest)
+    if resolved == fastest or waveform.max_velocity_m_per_s > how.fastest_m_per_s:
+        return []
+    return [
+        f"range rate: beyond {C_M_PER_S / 2 * resolved:.3g} m/s none is told from slower ones, "
+        f"of the {how.fastest_m_per_s:g} m/s asked for (fastest_m_per_s): "
+        f"{waveform.n_slots} slots every {waveform.slot_period_s:g} s are too slow"
+    ]
+
+
+def coupled_ranges(interval: DemodulatedBurst, how: "Processing") -> list[str]:
+    """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
+    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
+        why = (
+            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
+            "each m/s more"
+        )
+    elif interval.scatter_per_rate * how.fastest_m_per_s >= 1:
+        why = (
+            "carrier steps in this order smear over ranges what moves by "
+            f"{1 / interval.scatter_per_rate:.2g} m/s more"
+        )
+    else:
+        return []
+    return [
+        f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
+        f"{why}, which its error does not hold"
+    ]
+
+
+def shifted_ranges(
+    points: Sequence[Detection], waveform: OfdmWaveform, how: "Processing"
+) -> list[str]:
+    """A warning of ranges of a single slot, which tells no rate to correct them by."""
+    if waveform.n_slots > 1 or waveform.symbols != "zadoff-chu":
+        return []
+    turns = 2 * how.fastest_m_per_s / waveform.wavelength_m * waveform.symbol_s
+    shift_m = turns * waveform.range_cell_m
+    if not any(point.range_error_m < shift_m for point in points):
+        return []
+    return [
+        f"range: one slot tells no range rate; up to {how.fastest_m_per_s:g} m/s (fastest_m_per_s) "
+        f"Doppler within the symbol shifts ranges by up to {shift_m:.2g} m, which no error holds"
+    ]
+
+
+def moving_side_lobes(
+    points: Sequence[Detection], interval: DemodulatedBurst, how: "Processing"
+) -> list[str]:
+    """A warning of detections that may be side lobes of moving echoes, of carrier steps."""
+    rate = np.array([point.range_rate_m_per_s for point in points]) - how.range_rate_m_per_s
+    error = np.array([point.range_rate_error_m_per_s for point in points])
+    most = np.abs(rate) + np.fmin(2 * error, how.fastest_m_per_s)
+    most = np.where(np.isnan(most), how.fastest_m_per_s, most)
+    power_w = np.array([point.power_w for point in points])
+    lobe_w = np.minimum(interval.scatter_per_rate * most, 1) ** 2 * power_w
+    count = int(np.count_nonzero(power_w < lobe_w.max(initial=0.0)))
+    if not count:
+        return []
+    return [
+        f"range: {count} of {len(points)} detections may be side lobes of stronger ones that move "
+        f"at other rates than {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s) from step to step"
+    ]
+
+
+def ambiguous(points: list[Detection]) -> list[str]:
+    """Warnings of ambiguous range rates and directions."""
+    counts = {
+        "range rate": sum(bool(point.range_rate_alternatives_m_per_s) for point in points),
+        "direction": sum(bool(point.azimuth_alternatives_rad) for point in points),
+    }
+    return [
+        f"{name}: ambiguous for {count} of {len(points)} detections, alternatives listed"
+        for name, count in counts.items()
+        if count
+    ]
