@@ -11,13 +11,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.refinement import APART, Blocks, unit_echoes
+from hardware.radar.refinement import Blocks, unit_echoes
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _STEPS = 30  # at most
-_STILL = 1e-5  # cells: the smallest step
+_STILL = 1e-2  # of the noise of a cell: what the last step is to gain at least
 _FARTHEST = 0.5  # cells: the largest step
 
 
@@ -25,11 +25,13 @@ _FARTHEST = 0.5  # cells: the largest step
 class JointModel:
     """Block sums, and echoes at fixed places ``fixed`` (n, 2) that are fitted in amplitude alone.
 
-    Blocks are weighted to equal noise. Places are cells from the middle of the blocks.
+    Blocks are weighted to equal noise, ``noise_w`` of a cell. Places are cells from the middle of
+    the blocks.
     """
 
     blocks: Blocks
     fixed: Array
+    noise_w: float
 
     @cached_property
     def weights(self) -> Array:
@@ -44,16 +46,18 @@ class JointModel:
         flat = (self.blocks.sums / self.weights).reshape(len(self.blocks.sums), -1)
         return _without(flat, self._known)
 
-    def echoes(self, places: Array) -> Complex:
-        """Weighted sums (n, n_blocks) of echoes of unit amplitude, without the fixed echoes."""
-        return _without(self._unit(places), self._known)
+    def echoes(self, places: Array) -> tuple[Complex, Complex]:
+        """Weighted sums (n, n_blocks) of echoes of unit amplitude, without the fixed echoes; and
+        their changes (2 n, n_blocks) by cell of delay and of rate.
+        """
+        unit = self._unit(places)
+        changes = (self._turns * unit[:, None]).reshape(-1, self.weights.size)
+        return _without(unit, self._known), _without(changes, self._known)
 
     def fit(self, places: Array) -> "JointFit":
         """The echoes at these places (n, 2), amplitudes fitted."""
-        around = places[:, None] + APART * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-        echoes = self.echoes(around.reshape(-1, 2)).reshape(len(places), 5, self.sums.shape[1])
-        basis, triangle = np.linalg.qr(echoes[:, 0].T)
-        changes = (echoes[:, 1::2] - echoes[:, 2::2]).reshape(-1, self.weights.size) / (2 * APART)
+        echoes, changes = self.echoes(places)
+        basis, triangle = np.linalg.qr(echoes.T)
         inverse = np.linalg.pinv(triangle)
         along = self.sums @ basis.conj()
         return JointFit(
@@ -69,19 +73,29 @@ class JointModel:
         """The echoes at the places of least squares that are reached from these."""
         best, damping = self.fit(places), 1e-3
         for _ in range(_STEPS if len(places) else 0):
-            step = best.step(damping)
+            step, gain_w = best.step(damping)
+            if gain_w < _STILL * self.noise_w:
+                break
             moved = self.fit(best.places + np.clip(step, -_FARTHEST, _FARTHEST))
             if moved.misfit < best.misfit:
                 best, damping = moved, damping / 10
             else:
                 damping *= 10
-            if np.abs(step).max() < _STILL:
-                break
         return best
 
     def residual_sums(self, fit: "JointFit") -> Complex:
         """What a fit leaves of the block sums (n_channels, n_f, n_t)."""
         return np.asarray(fit.residual.reshape(self.blocks.sums.shape) * self.weights)
+
+    @cached_property
+    def _turns(self) -> Complex:
+        """Change of each block over itself (2, n_blocks), by cell of delay and of rate: of its
+        phase. What it loses changes some 1e-4 times as much.
+        """
+        grid = self.blocks.grid
+        by_delay = np.broadcast_to(grid.by_delay[:, None], self.weights.shape)
+        by_rate = 2 * np.pi * grid.cell[1] * np.outer(grid.carrier_hz + grid.f_hz, grid.t_s)
+        return np.asarray(-1j * np.stack([by_delay.ravel(), by_rate.ravel()]))
 
     @cached_property
     def _known(self) -> Complex:
@@ -120,13 +134,16 @@ class JointFit:
         """Fisher information of the places (2 n, 2 n), times half the noise of a cell."""
         return np.asarray(((self._by_axis.conj() @ self._by_axis.T) * self._products.T).real)
 
-    def step(self, damping: float) -> Array:
-        """Step of the places (n, 2) towards the least misfit."""
+    def step(self, damping: float) -> tuple[Array, float]:
+        """Step of the places (n, 2) towards the least misfit, and by how much that falls to first
+        order.
+        """
         slope = np.sum(self._by_axis.conj() * (self.changes.conj() @ self.residual.T), axis=1).real
         diagonal = np.diag(self.information)
         floor = 1e-12 * diagonal.max(initial=0.0) or 1.0  # an axis of one sample tells nothing
         system = self.information + np.diag(damping * diagonal + floor)
-        return np.asarray(np.linalg.solve(system, slope)).reshape(-1, 2)
+        step = np.linalg.solve(system, slope)
+        return step.reshape(-1, 2), float(step @ slope)
 
     @cached_property
     def covariance(self) -> Array:

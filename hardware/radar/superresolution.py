@@ -16,8 +16,13 @@ from numpy.typing import NDArray
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.joint_fit import JointFit, JointModel
-from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
-from hardware.radar.refinement import blocks_about
+from hardware.radar.measurement import (
+    EchoMeasurement,
+    cells_apart,
+    echo_measurement,
+    without_duplicates,
+)
+from hardware.radar.refinement import Blocks, blocks_about, echo_amplitudes
 from hardware.radar.residue import residual_cells
 from hardware.radar.within_symbols import channel_without_leakage
 from hardware.waveform import OfdmWaveform
@@ -25,11 +30,18 @@ from hardware.waveform import OfdmWaveform
 Array = NDArray[np.float64]
 
 _CLOSEST = 0.3  # cells
+_MOST_NOISE = 10.0  # of an amplitude beside the others, over that of an echo alone, in power
+_WINDOW, _LEAST_SEEN = "blackmanharris", 1e-3  # of a target's power, with that window
+_MOST_IN_VAIN = 3  # peaks after each other at which no target can be told from the others
+_OF_A_PART = 2.0  # cells: half of a window's main lobe
+_REACH = 4.0  # cells searched around an echo: the main lobe of a window
+_OF_A_BODY = 1e-3  # of its power: what a body has beside a point, at its place
+_UNFELT = 0.01  # of a cell's noise: side lobes of others elsewhere that are left out
 _BESIDE, _MOST_BESIDE = 8.0, 4  # cells, and number, of other echoes that are fitted with an echo
 _LINKED = 12.0  # cells between echoes that are split together: two reaches, and their side lobes
 _FAR, _MOST_TOGETHER = 16.0, 8  # cells from the first, and number, of echoes split together
 _NONE = np.zeros((0, 2))
-_ROUNDS = 3  # in which groups are split, since one may hide targets whose side lobes reach others
+_ROUNDS = 2  # in which groups are split, since one may hide targets whose side lobes reach others
 
 
 def split_targets(
@@ -42,7 +54,8 @@ def split_targets(
     """Echoes of the targets that each consists of, with its alternative rates.
 
     Echoes near each other are split together: each may hide targets that the others' side lobes
-    contain.
+    contain. An echo stays as it is where no target is found near it: without a window, what a
+    strong body has beside points hides weak echoes around it.
     """
     groups = _groups(echoes, waveform)
     parts = [list(group) for group in groups]
@@ -50,6 +63,7 @@ def split_targets(
     beside = [-1] * len(groups)  # number of other targets when a group was split
     for i in [*range(len(groups))] * _ROUNDS:
         others = [part for j, some in enumerate(parts) if j != i for part in some]
+        others = _felt(others, groups[i], waveform, noise_w)
         if len(others) == beside[i]:
             continue
         beside[i] = len(others)
@@ -62,7 +76,19 @@ def split_targets(
             together=groups[i][1:],
             others=others,
         )
-    return without_duplicates([part for some in parts for part in some], waveform, folded=False)
+    found = [part for some in parts for part in some]
+    found += _without_parts(echoes, found, waveform)
+    return without_duplicates(found, waveform, folded=False)
+
+
+def _without_parts(
+    echoes: Sequence[EchoMeasurement], parts: Sequence[EchoMeasurement], waveform: OfdmWaveform
+) -> list[EchoMeasurement]:
+    """Echoes near which no part is."""
+    cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
+    places, found = (_steps_of(some, np.zeros(2), cell) for some in (echoes, parts))
+    is_split = _apart(places, found).min(axis=1, initial=np.inf) < _OF_A_PART
+    return [echo for echo, split in zip(echoes, is_split, strict=True) if not split]
 
 
 def resolve(
@@ -72,7 +98,7 @@ def resolve(
     noise_w: float,
     *,
     false_alarm: float = 1e-6,
-    reach: float = 4.0,
+    reach: float = _REACH,
     at_most: int = 4,
     together: Sequence[EchoMeasurement] = (),
     others: Sequence[EchoMeasurement] = (),
@@ -102,18 +128,26 @@ def resolve(
 
     Standard errors are those of the joint fit, in the noise that it leaves around each target.
 
-    Two targets closer than 0.3 cells are never resolved: such a pair would fit the error of the
-    model, which is 60 dB and more below a target because of single precision and the blocks.
+    What is more than 30 dB below an echo is split off only outside its main lobe, and 30 dB below
+    its side lobes nowhere: bodies are no points, and what they have beside one looks like that.
+
+    Two targets closer than 0.3 cells are never resolved, nor several whose amplitudes could not be
+    told apart but with ten times the noise of one alone: strong targets that cancel would fit what
+    a body has beside points, or the error of the model, which is 60 dB and more below a target
+    because of single precision and the blocks.
     """
     place = np.array([echo.delay_s]), np.array([echo.delay_rate])
     still = channel_without_leakage(channel, echo, waveform, noise_w)
-    (blocks,) = blocks_about(still, waveform, "boxcar", *place)
+    (blocks,), (windowed,) = (
+        blocks_about(still, waveform, window, *place) for window in ("boxcar", _WINDOW)
+    )
     split = [echo, *together]
     middle = np.array([blocks.delay_s, blocks.delay_rate])
     middles = _steps_of(split, middle, blocks.grid.cell)
     beside, fixed = _nearest(_steps_of(others, middle, blocks.grid.cell))
     least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
-    search = _Search(JointModel(blocks, fixed), middles, beside, reach, least_w)
+    model = JointModel(blocks, fixed, noise_w)
+    search = _Search(model, windowed, middles, beside, reach, least_w)
     fit = search.without_needless(search.targets(at_most * len(split)))
     parts = []
     for i in range(len(search.targets_of(fit))):
@@ -131,7 +165,8 @@ def resolve(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Search for targets of which echoes at ``middles`` (n, 2) consist.
+    """Search for targets of which echoes at ``middles`` (n, 2) consist; ``windowed``: the blocks of
+    the model with a window.
 
     ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
     the middles and around targets that are found; ``least_w``: mean power over channels of a target
@@ -139,6 +174,7 @@ class _Search:
     """
 
     model: JointModel
+    windowed: Blocks
     middles: Array
     beside: Array
     reach: float
@@ -146,47 +182,61 @@ class _Search:
 
     def targets(self, at_most: int) -> JointFit:
         """Targets added one by one, the strongest first, until noise is left."""
-        fit, barred = self.model.refined(self.beside), _NONE
-        for _ in range(2 * at_most):
-            power, place = self.strongest(fit, barred)
-            if power <= self.least_w or len(self.targets_of(fit)) == at_most:
+        fit, barred, in_vain = self.model.refined(self.beside), _NONE, 0
+        while in_vain < _MOST_IN_VAIN and len(self.targets_of(fit)) < at_most:
+            excess, place = self.strongest(fit, barred)
+            if excess <= 1:
                 break
             more = self.model.refined(np.vstack([place, fit.places]))
-            if _closest(np.vstack([more.places, self.model.fixed])) < _CLOSEST:
-                break
-            if self.are_of_these(self.targets_of(more)):
-                fit = more
+            is_sound = self.are_apart(more) and self.are_seen(more)
+            if is_sound and self.are_of_these(self.targets_of(more)):
+                fit, in_vain = more, 0
             else:
-                barred = np.vstack([barred, place])
+                barred, in_vain = np.vstack([barred, place]), in_vain + 1
         return fit
+
+    def are_apart(self, fit: JointFit) -> bool:
+        """Whether each target of a fit can be told from all others."""
+        targets = self.targets_of(fit)
+        noise = np.diag(fit.gram).real[: len(targets)]
+        apart = _apart(targets, np.vstack([fit.places, self.model.fixed]))
+        apart[np.diag_indices(len(targets))] = np.inf
+        return bool((apart >= _CLOSEST).all() and (noise <= _MOST_NOISE).all())
 
     def targets_of(self, fit: JointFit) -> Array:
         """Places (n, 2) of a fit without those of other echoes."""
         return fit.places[: len(fit.places) - len(self.beside)]
 
+    def are_seen(self, fit: JointFit) -> bool:
+        """Whether targets of a fit show where side lobes do not, with a window."""
+        places = self.targets_of(fit)
+        seen_w = [np.mean(np.abs(echo_amplitudes(self.windowed, at)) ** 2) for at in places]
+        power_w = np.mean(np.abs(fit.amplitudes[: len(places)]) ** 2, axis=1)
+        return bool((seen_w >= _LEAST_SEEN * power_w).all())
+
     def are_of_these(self, places: Array) -> bool:
-        """Whether places (n, 2) are nearer to what is split than to echoes elsewhere."""
-        away = [
-            np.abs(places[:, None] - echoes).max(axis=-1).min(axis=1, initial=np.inf)
+        """Whether places (n, 2) are near what is split, and nearer than to echoes elsewhere."""
+        own, others = (
+            _apart(places, echoes).min(axis=1, initial=np.inf)
             for echoes in (self.middles, np.vstack([self.beside, self.model.fixed]))
-        ]
-        return bool((away[0] <= away[1]).all())
+        )
+        return bool((own <= np.minimum(others, 2 * self.reach)).all())
 
     def without_needless(self, fit: JointFit) -> JointFit:
         """The fit without targets that leave no more of a target where they are left out."""
         n_targets = len(self.targets_of(fit))
         if n_targets < 2:
             return fit
-        most = max(self.least_w, self.strongest(fit)[0])
+        most = max(1.0, self.strongest(fit)[0])
         for i in np.argsort(np.sum(np.abs(fit.amplitudes[:n_targets]) ** 2, axis=1), kind="stable"):
             fewer = self.model.refined(np.delete(fit.places, i, axis=0))
-            if self.strongest(fewer)[0] <= most:
+            if self.strongest(fewer)[0] <= most and self.are_apart(fewer):
                 return self.without_needless(fewer)
         return fit
 
     def strongest(self, fit: JointFit, barred: Array = _NONE) -> tuple[float, Array]:
-        """Mean power over channels, and cells (2,), of the highest point of the residual, not
-        within a cell of places ``barred`` (n, 2).
+        """Mean power over channels, over that of which a target consists at least, and cells (2,),
+        of the highest point of the residual, not within a cell of places ``barred`` (n, 2).
         """
         grid = self.model.blocks.grid
         centres = np.vstack([self.middles, self.targets_of(fit)])
@@ -195,10 +245,16 @@ class _Search:
         along = np.exp(1j * np.outer(grid.by_rate, axes[1]))
         rest = self.model.residual_sums(fit)
         power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
-        inside = _within(axes, centres, self.reach) & ~_within(axes, barred, 1.0)
-        power = np.where(inside, power, 0.0)
-        row, column = np.unravel_index(np.argmax(power), power.shape)
-        return float(power[row, column]), np.array([axes[0][row], axes[1][column]])
+        power_w = np.mean(np.abs(fit.amplitudes) ** 2, axis=1)
+        lobes = [
+            _side_lobe(axis[:, None] - at) for axis, at in zip(axes, fit.places.T, strict=True)
+        ]
+        excess = power / (self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T)
+        inside = _within(axes, centres, self.reach) & _within(axes, self.middles, 2 * self.reach)
+        inside &= ~_within(axes, barred, 1.0)
+        excess = np.where(inside, excess, 0.0)
+        row, column = np.unravel_index(np.argmax(excess), excess.shape)
+        return float(excess[row, column]), np.array([axes[0][row], axes[1][column]])
 
 
 def _measurement(
@@ -280,7 +336,29 @@ def _nearest(steps: Array) -> tuple[Array, Array]:
     return steps[order[:count]], steps[order[count:]]
 
 
-def _closest(steps: Array) -> float:
-    """Least distance of two, in cells along the axis on which they are farther apart."""
-    apart = np.abs(steps[:, None] - steps).max(axis=-1)
-    return float(apart[np.triu_indices(len(steps), 1)].min(initial=np.inf))
+def _apart(places: Array, others: Array) -> Array:
+    """Cells (n, m) between places (n, 2) and others (m, 2), along the axis on which they are
+    farther apart.
+    """
+    return np.asarray(np.abs(places[:, None] - others).max(axis=-1))
+
+
+def _felt(
+    others: Sequence[EchoMeasurement],
+    echoes: Sequence[EchoMeasurement],
+    waveform: OfdmWaveform,
+    noise_w: float,
+) -> list[EchoMeasurement]:
+    """Those of the others whose side lobes near any of some echoes stand out of the noise."""
+    cells = np.maximum(cells_apart(others, echoes, waveform) - _REACH, 0).min(axis=1)
+    lobes = np.prod(_side_lobe(cells), axis=-1)
+    return [
+        other
+        for other, lobe in zip(others, lobes, strict=True)
+        if other.power_w * lobe > _UNFELT * noise_w
+    ]
+
+
+def _side_lobe(cells: Array) -> Array:
+    """Highest side lobe beyond so many cells on one axis, over the peak in power, no window."""
+    return np.asarray(1 / np.maximum(np.pi * np.abs(cells), 1) ** 2)

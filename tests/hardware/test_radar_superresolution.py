@@ -65,3 +65,40 @@ def test_a_group_that_hides_a_target_does_not_make_another_elsewhere() -> None:
         record, ranges, _, _ = _record(cells, 55.0, seed)
         found = process(record, 0, Processing(resolve=True)).detections
         np.testing.assert_allclose(sorted(d.range_m for d in found), ranges, atol=2e-3)
+
+
+def test_bodies_that_are_no_points_neither_vanish_nor_grow() -> None:
+    """A body of 60 points in three cells at 75 dB, and two targets that the window shows beside it:
+    no part is stronger than the whole, which would be two that cancel; every part shows with a
+    window; and neither target is lost.
+    """
+    random = np.random.default_rng(5)
+    inside = random.uniform(-1.5, 1.5, (60, 2))
+    noise_w = 1e-10
+    cell_w = noise_w / (NARROW.n_subcarriers * NARROW.n_slots)
+    powers_w = [10**7.5 / 60 * cell_w] * 60 + [10**3.5 * cell_w] * 2
+    cells = [*inside, (9.0, 3.0), (-11.0, -5.0)]
+    echoes = [
+        Echo(
+            (8.0 + at * NARROW.range_cell_m, 0, 0),
+            power_w,
+            (3.0 + rate * NARROW.velocity_cell_m_per_s, 0, 0),
+            float(random.uniform(-np.pi, np.pi)),
+        )
+        for (at, rate), power_w in zip(cells, powers_w, strict=True)
+    ]
+    record = cube(NARROW, echoes, noise_w=noise_w, seed=5)
+    whole = process(record).detections
+    found = process(record, 0, Processing(resolve=True)).detections
+    assert max(d.power_w for d in found) < 2 * max(d.power_w for d in whole)
+    cell = np.array([NARROW.range_cell_m, NARROW.velocity_cell_m_per_s])
+    places = np.array([(d.range_m, d.range_rate_m_per_s) for d in found]) / cell
+    shown = np.array([(d.range_m, d.range_rate_m_per_s) for d in whole]) / cell
+    targets = np.array([(one.place_m[0], one.velocity_m_per_s[0]) for one in echoes[-2:]]) / cell
+    assert _apart(targets, places).max() < 0.3
+    assert _apart(places, shown).max() < 5
+
+
+def _apart(places, others):
+    """Cells from each place (n, 2) to the nearest of the others."""
+    return np.abs(places[:, None] - others).max(axis=-1).min(axis=1)
