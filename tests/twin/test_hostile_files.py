@@ -153,11 +153,39 @@ def test_air_wants_the_detector_beside_the_beam(
         assert "\n" not in str(told.value)
 
 
+QUADS = (
+    b"ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 3\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 0\n0 0 1\n1 1 1\n0 1 1\n4 0 3 2 1\n4 4 5 6 7\n4 1 2 6 5\n"
+)
+BINARY = (
+    QUADS[: QUADS.index(b"0 0 0")].replace(b"ascii", b"binary_little_endian")
+    + pack("<24f", *range(24))
+    + b"".join(pack("<B4i", 4, *face) for face in ((0, 3, 2, 1), (4, 5, 6, 7), (1, 2, 6, 5)))
+)
 MODELS = {
     "too few.obj": (b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "line 2: b'v 1 0'"),
     # As many numbers as whole vertices have, with the second line's end in the third.
     "shifted.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 1\nv 1 1 0 1\nf 1 2 3\n", "line 4: b'v 0 1'"),
     "edge.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n", "line 5: b'f 1 2'"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "line 4: vertex 99 of 3"),
+    "before.obj": (b"v 0 0 0\nf -1 -2 -3\n", "line 2: vertex -2, of 1 before it"),
+    "zero.obj": (b"v 0 0 0\nf 1 0 1\n", "line 2: vertex 0, but OBJ counts from 1"),
+    "word.obj": (b"v 0 0 0\nf 1 two 1\n", "line 2: 'two', expected a vertex's number"),
+    "number.obj": (b"v 0 O 0\nf 1 1 1\n", "line 1: '0 O 0', expected three numbers"),
+    "faces.ply": (QUADS[: QUADS.index(b"4 1 2 6 5")], "2 of the 3 rows of 'face'"),
+    "face.ply": (QUADS[:-3], "line 20: '4 1 2 6' is no whole row of 'face'"),
+    "vertices.ply": (QUADS[: QUADS.index(b"0 1 1")], "7 of the 8 rows of 'vertex'"),
+    "row.ply": (QUADS.replace(b"0 0 1", b"0 0", 1), "line 15: '0 0' is no whole row of 'vertex'"),
+    "letters.ply": (QUADS.replace(b"0 0 1", b"0 0 l"), "line 15: '0 0 l' is no whole row"),
+    "more.ply": (QUADS + b"3 0 1 2\n", "12 rows, expected the 11 that its header gives"),
+    "header.ply": (QUADS[:100], "PLY without `end_header`: cut short"),
+    "element.ply": (QUADS.replace(b"vertex 8", b"vertex"), "PLY header, line 3: 'element vertex'"),
+    "kind.ply": (QUADS.replace(b"float z", b"flood z"), "header, line 6: 'property flood z'"),
+    "binary.ply": (BINARY[:-1], "cut short: row 2 of the 3 of 'face' goes on"),
+    "longer.ply": (BINARY + b"1", f"({len(BINARY) + 1} bytes, expected {len(BINARY)}"),
+    "lists.ply": (BINARY[:-17] + b"\xff" + BINARY[-16:], "cut short: row 2 of the 3 of 'face'"),
+    "points.ply": (BINARY[:250], f"cut short: 250 bytes, expected {len(BINARY) - 51} and"),
     "deep.gltf": (b"[" * 200_000, "no valid glTF"),
     "cut.glb": (b"glTF" + pack("<III", 2, 2**31, 2**31 - 1) + b"JSON{", "no valid glTF"),
 }  # fmt: skip

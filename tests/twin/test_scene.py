@@ -269,7 +269,7 @@ def test_missing_truncated_and_foreign_mesh_files(tmp_path: Path) -> None:
         ("a.stl", bytes(80) + b"\x07\0\0\0" + bytes(90), "174 bytes, expected 434 for the 7 tri"),
         ("a.stl", b"solid a\n facet normal 0 0 1\n", "STL text without `endsolid`: cut short"),
         ("a.obj", b"hello world, this is no mesh\n", "no OBJ file: no line begins with v, f or"),
-        ("a.ply", b"hello world, this is no mesh", "Not a ply file"),
+        ("a.ply", b"hello world, this is no mesh", "first line is not `ply`"),
         *((f"a.{kind}", b"", "the file is empty") for kind in ("stl", "obj", "ply", "glb")),
     ],
 )
