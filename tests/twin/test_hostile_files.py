@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -243,6 +244,75 @@ def test_a_gltf_promises_no_more_vertices_than_it_has_bytes(tmp_path: Path) -> N
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="accessor 0: 10000000000 elements in a model of"):
         read_mesh(path)
+
+
+def sparse(content: dict[str, Any]) -> None:
+    content["accessors"][0]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": 1, "componentType": 5123},
+        "values": {"bufferView": 0},
+    }
+
+
+def fan_beside(content: dict[str, Any]) -> None:
+    parts = content["meshes"][0]["primitives"]
+    parts.append(parts[0] | {"mode": 6})
+
+
+GLTF: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "sparse": (sparse, "mesh 0, primitive 0: accessor 0 is sparse: export it without"),
+    "fan": (fan_beside, r"mesh 0, primitive 1: a triangle fan \(mode 6\): export it as triangles"),
+    "weights": (lambda c: c["meshes"][0].update(weights=[0, 0.5]), "meshes 0: weights = .0, 0.5."),
+    "weights of a node": (
+        lambda c: c["nodes"][0].update(weights=[1]),
+        r"nodes 0: weights = .1. of",
+    ),
+    "corners": (lambda c: c["accessors"][1].update(count=2), "2 corners of triangles, expected"),
+    "accessor": (
+        lambda c: c["accessors"][0].update(count=4),
+        "accessor 0: 4 elements end at byte 48 of 36",
+    ),
+    "strides": (
+        lambda c: c["bufferViews"][0].update(byteStride=16),
+        "accessor 0: 3 elements end at byte 44 of 36",
+    ),
+    "type": (lambda c: c["accessors"][0].update(type="VEC5"), "accessor 0: 'VEC5' of component 51"),
+    "view": (
+        lambda c: c["bufferViews"][1].update(byteLength=7),
+        "bufferView 1: ends at byte 43 of 42",
+    ),
+    "buffer": (lambda c: c["buffers"][0].update(byteLength=50), "buffer 0: 42 bytes, expected 50"),
+}
+
+
+@pytest.mark.parametrize("name", GLTF)
+def test_what_changes_the_triangles_of_a_gltf_and_is_not_read_is_refused(
+    name: str, tmp_path: Path
+) -> None:
+    """Taken without it, the model would have another shape; buffers too short say so."""
+    change, told = GLTF[name]
+    change(content := triangle())
+    (path := tmp_path / "model.gltf").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=f"^{path}: .*{told}"):
+        read_mesh(path)
+
+
+def test_strips_and_morphs_at_rest_of_a_gltf_are_read(tmp_path: Path) -> None:
+    content = triangle()
+    content["meshes"][0] |= {"weights": [0.0]}
+    content["meshes"][0]["primitives"][0] |= {"mode": 5, "targets": [{"POSITION": 0}]}
+    (path := tmp_path / "model.gltf").write_text(json.dumps(content))
+    assert read_mesh(path).areas_m2.sum() == pytest.approx(0.5)
+    notes = import_model(path, tmp_path / "scene")
+    assert "model.gltf: left out: morph targets (1)" in notes
+
+
+@pytest.mark.parametrize("name", ["model.obj", "model.ply", "model.glb"])
+def test_a_folder_is_no_model(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    for read in (read_mesh, lambda path: import_model(path, tmp_path / "scene")):
+        with pytest.raises(InputError, match=f"^{tmp_path / name}: a folder, expected a mesh file"):
+            read(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ def read_mesh(path: Path, place: str = "") -> Geometry:
     """
     import trimesh
 
+    if path.is_dir():
+        raise InputError(f"{path}: a folder, expected a mesh file")
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     loaded = load_quietly(path, trimesh.load)
