@@ -329,6 +329,13 @@ def test_toml_is_read_or_told_in_one_line(content: bytes, because: str, tmp_path
         read_toml(path)
 
 
+def test_a_byte_order_mark_is_none_of_the_content(tmp_path: Path) -> None:
+    """Editors on Windows write it in front of UTF-8."""
+    (path := tmp_path / "x.toml").write_text('a = "süd"\n', encoding="utf-8-sig")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert read_toml(path) == {"a": "süd"}
+
+
 def test_a_curve_that_is_none_is_one_line(tmp_path: Path) -> None:
     """A device that never ends, and a field beyond the limit of the csv module (131 072)."""
     (path := tmp_path / "x.csv").write_text("1550,0." + "5" * 200_000 + "\n1551,0.5\n")
