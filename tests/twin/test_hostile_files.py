@@ -179,6 +179,7 @@ MODELS = {
     "vertices.ply": (QUADS[: QUADS.index(b"0 1 1")], "7 of the 8 rows of 'vertex'"),
     "row.ply": (QUADS.replace(b"0 0 1", b"0 0", 1), "line 15: '0 0' is no whole row of 'vertex'"),
     "letters.ply": (QUADS.replace(b"0 0 1", b"0 0 l"), "line 15: '0 0 l' is no whole row"),
+    "index.ply": (QUADS.replace(b"4 0 3 2", b"4 0.5 3 2"), "line 18: '4 0.5 3 2 1' is no whole"),
     "more.ply": (QUADS + b"3 0 1 2\n", "12 rows, expected the 11 that its header gives"),
     "header.ply": (QUADS[:100], "PLY without `end_header`: cut short"),
     "element.ply": (QUADS.replace(b"vertex 8", b"vertex"), "PLY header, line 3: 'element vertex'"),

@@ -207,7 +207,8 @@ def left_out_of_gltf(path: Path) -> Iterator[str]:
     morphs = [
         target
         for mesh in content.get("meshes", ())
-        for target in next(iter(mesh.get("primitives", ())), {}).get("targets", ())
+        for primitive in mesh.get("primitives", ())[:1]  # of the others the same
+        for target in primitive.get("targets", ())
     ]
     for what, found in (
         ("cameras", content.get("cameras", ())),

@@ -123,14 +123,11 @@ def _written(path: Path, others: list[bytes | _Face], vertices: list[list[float]
             raise InputError(
                 f"{path}: line {face.line}: vertex {max(face.vertices) + 1} of {len(vertices)}"
             )
-    try:
-        made = splits(
-            np.array(vertices).reshape(-1, 3),
-            [face.vertices for face in faces],
-            lambda number: f"line {faces[number].line}",
-        )
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+    made = splits(
+        np.array(vertices).reshape(-1, 3),
+        [face.vertices for face in faces],
+        lambda number: f"{path}: line {faces[number].line}",
+    )
     split = {id(faces[number]): triangles for number, triangles in made.items()}
     return b"\n".join(
         one if isinstance(one, bytes) else one.statements(split.get(id(one))) for one in others

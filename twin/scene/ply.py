@@ -34,6 +34,10 @@ class _Property:
     kind: np.dtype[Any]
     count: np.dtype[Any] | None  # kind of a list's length; None: one number
 
+    @cached_property
+    def is_of_indices(self) -> bool:
+        return self.count is not None and self.kind.kind in "iu"
+
 
 @dataclass(frozen=True)
 class _Element:
@@ -83,11 +87,10 @@ def ply_in_triangles(path: Path) -> bytes:
     try:
         header, start = _header(content)
         read = _read_binary if header.order else _read_text
-        return _written(header, content, read(header, content, start))
+        tables = read(header, content, start)
     except _BrokenError as error:
         raise InputError(f"{path}: can't be read as a mesh ({error})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+    return _written(path, header, content, tables)
 
 
 def _header(content: bytes) -> tuple[_Header, int]:
@@ -154,7 +157,7 @@ def _read_text(header: _Header, content: bytes, start: int) -> dict[bytes, _Tabl
         for number, line in enumerate(lines[at : at + element.rows], len(header.lines) + at + 1):
             try:
                 rows.append(_row_of_words(element, line.split()))
-            except ValueError:
+            except (IndexError, ValueError):
                 wrong = line[:40].decode(errors="replace")
                 raise _BrokenError(
                     f"line {number}: {wrong!r} is no whole row of {name!r}"
@@ -167,7 +170,9 @@ def _read_text(header: _Header, content: bytes, start: int) -> dict[bytes, _Tabl
 
 
 def _row_of_words(element: _Element, words: list[bytes]) -> _Row:
-    """Raises ValueError for too few or too many words, and for those that are no numbers."""
+    """Raises IndexError or ValueError for too few or too many words, and for those that are no
+    numbers.
+    """
     for word in words:
         float(word)
     if not element.holds_lists:
@@ -176,8 +181,10 @@ def _row_of_words(element: _Element, words: list[bytes]) -> _Row:
         return [words]
     row, at = [], 0
     for prop in element.properties:
-        length = 1 if prop.count is None else _count(words[at]) if at < len(words) else 1
+        length = 1 if prop.count is None else _count(words[at])
         at += prop.count is not None
+        if prop.is_of_indices:
+            _ = [int(word) for word in words[at : at + length]]
         row.append(words[at : at + length])
         at += length
     if at != len(words):
@@ -262,12 +269,12 @@ def _rows(element: _Element, content: bytes, start: int) -> tuple[list[_Row], in
 
 def _corners(element: _Element) -> int | None:
     """Which property of a face holds its corners."""
-    lists = [i for i, prop in enumerate(element.properties) if prop.count is not None]
+    lists = [i for i, prop in enumerate(element.properties) if prop.is_of_indices]
     named = [i for i in lists if element.properties[i].name in _CORNERS]
     return next(iter(named or lists), None) if element.name == b"face" else None
 
 
-def _written(header: _Header, content: bytes, tables: dict[bytes, _Table]) -> bytes:
+def _written(path: Path, header: _Header, content: bytes, tables: dict[bytes, _Table]) -> bytes:
     """A file with triangles in place of polygons that readers would get wrong."""
     face = next((e for e in header.elements if e.name == b"face"), None)
     here = None if face is None else _corners(face)
@@ -283,7 +290,7 @@ def _written(header: _Header, content: bytes, tables: dict[bytes, _Table]) -> by
     if any(not 0 <= i < len(vertices_m) for polygon in polygons for i in polygon):
         split = dict[int, Triangles]()  # told by whoever checks the mesh
     else:
-        split = splits(vertices_m, polygons, lambda number: f"face {number}")
+        split = splits(vertices_m, polygons, lambda number: f"{path}: face {number}")
     if not split and (not header.order or len({len(polygon) for polygon in polygons}) == 1):
         return content
     rows = [

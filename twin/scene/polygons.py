@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.files import InputError
+
 Array = NDArray[np.float64]
 Triangles = list[tuple[int, int, int]]
 
@@ -21,7 +23,7 @@ def splits(
 ) -> dict[int, Triangles]:
     """The triangles of those polygons that a fan would not fill, as positions of their corners.
 
-    Raises ValueError that begins with the ``name`` of a polygon whose edges cross.
+    Raises InputError, beginning with the ``name`` of a polygon, where its edges cross.
     """
     by_corners: dict[int, list[int]] = {}
     for number, polygon in enumerate(polygons):
@@ -32,10 +34,9 @@ def splits(
         corners_m = vertices_m[np.array([polygons[number] for number in numbers])]
         for place in np.flatnonzero(~_are_filled_by_fans(corners_m)):
             number = numbers[place]
-            try:
-                made[number] = _ears(corners_m[place])
-            except ValueError as error:
-                raise ValueError(f"{name(number)}: {error}") from None
+            if (ears := _ears(corners_m[place])) is None:
+                raise InputError(f"{name(number)}: edges of the polygon cross each other")
+            made[number] = ears
     return made
 
 
@@ -47,19 +48,21 @@ def fan(corners: int) -> Triangles:
 def _are_filled_by_fans(corners_m: Array) -> NDArray[np.bool_]:
     """(n,): whether all triangles of each fan, ``corners_m`` (n, k, 3), turn as their sum does.
 
-    What is no number is left to whoever checks the mesh.
+    What is no number, or has no finite area, is left to whoever checks the mesh.
     """
-    arms = corners_m[:, 1:] - corners_m[:, :1]
-    turned = np.cross(arms[:, :-1], arms[:, 1:])  # (n, k - 2, 3): normals, as long as twice areas
-    whole = turned.sum(axis=1)
-    along = np.einsum("nkc,nc->nk", turned, whole)
-    least = -_AREA * np.einsum("nc,nc->n", whole, whole)
-    empty = ~turned.any(axis=(1, 2)) | ~np.isfinite(corners_m).all(axis=(1, 2))
+    with np.errstate(all="ignore"):
+        arms = corners_m[:, 1:] - corners_m[:, :1]
+        turned = np.cross(arms[:, :-1], arms[:, 1:])  # (n, k - 2, 3), as long as twice the areas
+        whole = turned.sum(axis=1)
+        along = np.einsum("nkc,nc->nk", turned, whole)
+        least = -_AREA * np.einsum("nc,nc->n", whole, whole)
+    empty = ~turned.any(axis=(1, 2)) | ~np.isfinite(along).all(axis=1)
     return np.asarray(empty | ((along >= least[:, None]).all(axis=1) & whole.any(axis=1)))
 
 
-def _ears(corners_m: Array) -> Triangles:
+def _ears(corners_m: Array) -> Triangles | None:
     """Ear clipping: corners that nothing else of the polygon reaches into are cut off one by one.
+    None where edges cross.
 
     A polygon that is not plane is split as it looks along its mean normal. Edges may touch, as
     those do that lead to a hole and back.
@@ -69,7 +72,7 @@ def _ears(corners_m: Array) -> Triangles:
     flat = _in_its_plane(corners_m)
     touch = _TOUCH * float(np.ptp(flat, axis=0).max()) ** 2
     if _edges_cross(flat, touch):
-        raise ValueError("edges of the polygon cross each other")
+        return None
     left, made = list(range(len(flat))), Triangles()
     while len(left) > 2:
         here = next((i for i in range(len(left)) if _is_ear(flat, left, i, touch)), None)
@@ -78,7 +81,7 @@ def _ears(corners_m: Array) -> Triangles:
         else:  # a corner on the line between its neighbours takes no area with it
             here = int(np.argmin(np.abs(_turns(flat[left]))))
             if abs(_turns(flat[left])[here]) > touch:
-                raise ValueError("edges of the polygon cross each other")
+                return None
         del left[here]
     return made or fan(len(flat))
 
