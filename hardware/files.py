@@ -26,7 +26,7 @@ _MOST_LINE = 3000
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Content of a TOML file.
+    """Content of a TOML file; a byte-order mark, as editors on Windows write it, is none of it.
 
     Raises OSError where it cannot be read; InputError, one line that begins with the file, where
     it is no regular file, no TOML, no UTF-8, nested too deeply, or holds a whole number beyond the
@@ -62,7 +62,7 @@ def read_json(path: str | Path) -> Any:
 def _parsed(path: str | Path, kind: str, parse: Callable[[str], Any]) -> Any:
     content = read_regular(path)
     try:
-        return parse(content.decode("utf-8"))
+        return parse(content.decode("utf-8-sig"))
     except RecursionError:
         raise InputError(f"{path}: no valid {kind}: nested too deeply") from None
     except ValueError as error:

@@ -81,16 +81,12 @@ def _layers(path: Path) -> "Motion":
     ``box_cells = [top, left, bottom, right]`` at the reference time and ``cells_per_s = [down,
     right]``.
     """
-    import tomllib
-
+    from hardware.files import read_toml
     from hardware.reconstruction.motion import Layers, MovingBox, Shift
 
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file of moving objects")
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}") from error
+    given = read_toml(path)
     _only(path, "", given, {"background_cells_per_s", "object"})
     if not given:
         raise InputError(f"{path}: empty, expected background_cells_per_s or [[object]]")

@@ -177,6 +177,26 @@ def test_a_wall_that_grows_into_a_mirror_keeps_its_level() -> None:
     assert 20 * np.log10(facets / image) == pytest.approx(0, abs=1.5)
 
 
+@pytest.mark.parametrize(
+    ("rms_height_m", "is_told"), [(0.5e-3, True), (0.25e-3, True), (0.1e-3, False)]
+)
+def test_what_optics_takes_for_smooth_is_told_by_how_much(
+    rms_height_m: float, is_told: bool
+) -> None:
+    """A wall square on: the echo of `rough` is weaker by the exp(-4 (k s)^2) that is told. 0.1 mm
+    take 0.5 dB, less than the tolerance of a tenth of the amplitude.
+    """
+    scene = replace(body_alone(2.0, 10.0), materials=surface(rms_height_m, 0.0))
+    smooth, rough = (trace(scene, RADAR, fidelity=ONCE.with_(radar=m)) for m in ("optics", "rough"))
+    expected_db = 40 * np.log10(np.e) * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2
+    levels = [abs(wave(found.contributions)) for found in (smooth, rough)]
+    assert 20 * np.log10(levels[0] / levels[1]) == pytest.approx(expected_db, rel=0.01)
+    warned = [text for text in smooth.warnings if "takes surfaces for smooth" in text]
+    assert len(warned) == is_told
+    assert all(f"sign (asphalt) by {expected_db:.1f} dB;" in text for text in warned)
+    assert not any("for smooth" in text for text in rough.warnings)
+
+
 def test_a_body_without_gamma_stays_smooth_and_is_told() -> None:
     scene = body_alone(0.3, 3.0, "cotton")
     found = trace(scene, RADAR, fidelity=ONCE)

@@ -442,6 +442,11 @@ def test_a_scheduler_without_workers_is_said(
             '"system.optics.f_number" = { low = 4.0, high = 1.0 }\n',
             "low below high",
         ),
+        (
+            '[sample]\nmethod = "sobol"\nn = 4\n[sample.ranges]\n'
+            '"link.distance_m" = { low = [], high = 1.0 }\n',
+            "sample.ranges.link.distance_m.low = []: expected a number; ",
+        ),
         ("colour = 1\n", "colour"),
         *(
             (f'[grid]\n"{name}" = [1.0, {value}]\n', f"{name} = {told}: expected {wanted}")

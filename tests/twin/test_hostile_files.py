@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -153,11 +154,40 @@ def test_air_wants_the_detector_beside_the_beam(
         assert "\n" not in str(told.value)
 
 
+QUADS = (
+    b"ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 3\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n0 0 0\n0 0 1\n1 1 1\n0 1 1\n4 0 3 2 1\n4 4 5 6 7\n4 1 2 6 5\n"
+)
+BINARY = (
+    QUADS[: QUADS.index(b"0 0 0")].replace(b"ascii", b"binary_little_endian")
+    + pack("<24f", *range(24))
+    + b"".join(pack("<B4i", 4, *face) for face in ((0, 3, 2, 1), (4, 5, 6, 7), (1, 2, 6, 5)))
+)
 MODELS = {
     "too few.obj": (b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "line 2: b'v 1 0'"),
     # As many numbers as whole vertices have, with the second line's end in the third.
     "shifted.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 1\nv 1 1 0 1\nf 1 2 3\n", "line 4: b'v 0 1'"),
     "edge.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n", "line 5: b'f 1 2'"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "line 4: vertex 99 of 3"),
+    "before.obj": (b"v 0 0 0\nf -1 -2 -3\n", "line 2: vertex -2, of 1 before it"),
+    "zero.obj": (b"v 0 0 0\nf 1 0 1\n", "line 2: vertex 0, but OBJ counts from 1"),
+    "word.obj": (b"v 0 0 0\nf 1 two 1\n", "line 2: 'two', expected a vertex's number"),
+    "number.obj": (b"v 0 O 0\nf 1 1 1\n", "line 1: '0 O 0', expected three numbers"),
+    "faces.ply": (QUADS[: QUADS.index(b"4 1 2 6 5")], "2 of the 3 rows of 'face'"),
+    "face.ply": (QUADS[:-3], "line 20: '4 1 2 6' is no whole row of 'face'"),
+    "vertices.ply": (QUADS[: QUADS.index(b"0 1 1")], "7 of the 8 rows of 'vertex'"),
+    "row.ply": (QUADS.replace(b"0 0 1", b"0 0", 1), "line 15: '0 0' is no whole row of 'vertex'"),
+    "letters.ply": (QUADS.replace(b"0 0 1", b"0 0 l"), "line 15: '0 0 l' is no whole row"),
+    "index.ply": (QUADS.replace(b"4 0 3 2", b"4 0.5 3 2"), "line 18: '4 0.5 3 2 1' is no whole"),
+    "more.ply": (QUADS + b"3 0 1 2\n", "12 rows, expected the 11 that its header gives"),
+    "header.ply": (QUADS[:100], "PLY without `end_header`: cut short"),
+    "element.ply": (QUADS.replace(b"vertex 8", b"vertex"), "PLY header, line 3: 'element vertex'"),
+    "kind.ply": (QUADS.replace(b"float z", b"flood z"), "header, line 6: 'property flood z'"),
+    "binary.ply": (BINARY[:-1], "cut short: row 2 of the 3 of 'face' goes on"),
+    "longer.ply": (BINARY + b"1", f"({len(BINARY) + 1} bytes, expected {len(BINARY)}"),
+    "lists.ply": (BINARY[:-17] + b"\xff" + BINARY[-16:], "cut short: row 2 of the 3 of 'face'"),
+    "points.ply": (BINARY[:250], f"cut short: 250 bytes, expected {len(BINARY) - 51} and"),
     "deep.gltf": (b"[" * 200_000, "no valid glTF"),
     "cut.glb": (b"glTF" + pack("<III", 2, 2**31, 2**31 - 1) + b"JSON{", "no valid glTF"),
 }  # fmt: skip
@@ -217,6 +247,75 @@ def test_a_gltf_promises_no_more_vertices_than_it_has_bytes(tmp_path: Path) -> N
         read_mesh(path)
 
 
+def sparse(content: dict[str, Any]) -> None:
+    content["accessors"][0]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": 1, "componentType": 5123},
+        "values": {"bufferView": 0},
+    }
+
+
+def fan_beside(content: dict[str, Any]) -> None:
+    parts = content["meshes"][0]["primitives"]
+    parts.append(parts[0] | {"mode": 6})
+
+
+GLTF: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "sparse": (sparse, "mesh 0, primitive 0: accessor 0 is sparse: export it without"),
+    "fan": (fan_beside, r"mesh 0, primitive 1: a triangle fan \(mode 6\): export it as triangles"),
+    "weights": (lambda c: c["meshes"][0].update(weights=[0, 0.5]), "meshes 0: weights = .0, 0.5."),
+    "weights of a node": (
+        lambda c: c["nodes"][0].update(weights=[1]),
+        r"nodes 0: weights = .1. of",
+    ),
+    "corners": (lambda c: c["accessors"][1].update(count=2), "2 corners of triangles, expected"),
+    "accessor": (
+        lambda c: c["accessors"][0].update(count=4),
+        "accessor 0: 4 elements end at byte 48 of 36",
+    ),
+    "strides": (
+        lambda c: c["bufferViews"][0].update(byteStride=16),
+        "accessor 0: 3 elements end at byte 44 of 36",
+    ),
+    "type": (lambda c: c["accessors"][0].update(type="VEC5"), "accessor 0: 'VEC5' of component 51"),
+    "view": (
+        lambda c: c["bufferViews"][1].update(byteLength=7),
+        "bufferView 1: ends at byte 43 of 42",
+    ),
+    "buffer": (lambda c: c["buffers"][0].update(byteLength=50), "buffer 0: 42 bytes, expected 50"),
+}
+
+
+@pytest.mark.parametrize("name", GLTF)
+def test_what_changes_the_triangles_of_a_gltf_and_is_not_read_is_refused(
+    name: str, tmp_path: Path
+) -> None:
+    """Taken without it, the model would have another shape; buffers too short say so."""
+    change, told = GLTF[name]
+    change(content := triangle())
+    (path := tmp_path / "model.gltf").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=f"^{path}: .*{told}"):
+        read_mesh(path)
+
+
+def test_strips_and_morphs_at_rest_of_a_gltf_are_read(tmp_path: Path) -> None:
+    content = triangle()
+    content["meshes"][0] |= {"weights": [0.0]}
+    content["meshes"][0]["primitives"][0] |= {"mode": 5, "targets": [{"POSITION": 0}]}
+    (path := tmp_path / "model.gltf").write_text(json.dumps(content))
+    assert read_mesh(path).areas_m2.sum() == pytest.approx(0.5)
+    notes = import_model(path, tmp_path / "scene")
+    assert "model.gltf: left out: morph targets (1)" in notes
+
+
+@pytest.mark.parametrize("name", ["model.obj", "model.ply", "model.glb"])
+def test_a_folder_is_no_model(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    for read in (read_mesh, lambda path: import_model(path, tmp_path / "scene")):
+        with pytest.raises(InputError, match=f"^{tmp_path / name}: a folder, expected a mesh file"):
+            read(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("content", "because"),
     [
@@ -229,6 +328,13 @@ def test_toml_is_read_or_told_in_one_line(content: bytes, because: str, tmp_path
     (path := tmp_path / "x.toml").write_bytes(content)
     with pytest.raises(InputError, match=f"^{path}: no valid TOML: .*{because}"):
         read_toml(path)
+
+
+def test_a_byte_order_mark_is_none_of_the_content(tmp_path: Path) -> None:
+    """Editors on Windows write it in front of UTF-8."""
+    (path := tmp_path / "x.toml").write_text('a = "süd"\n', encoding="utf-8-sig")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert read_toml(path) == {"a": "süd"}
 
 
 def test_a_curve_that_is_none_is_one_line(tmp_path: Path) -> None:

@@ -269,7 +269,7 @@ def test_missing_truncated_and_foreign_mesh_files(tmp_path: Path) -> None:
         ("a.stl", bytes(80) + b"\x07\0\0\0" + bytes(90), "174 bytes, expected 434 for the 7 tri"),
         ("a.stl", b"solid a\n facet normal 0 0 1\n", "STL text without `endsolid`: cut short"),
         ("a.obj", b"hello world, this is no mesh\n", "no OBJ file: no line begins with v, f or"),
-        ("a.ply", b"hello world, this is no mesh", "Not a ply file"),
+        ("a.ply", b"hello world, this is no mesh", "first line is not `ply`"),
         *((f"a.{kind}", b"", "the file is empty") for kind in ("stl", "obj", "ply", "glb")),
     ],
 )
@@ -326,6 +326,31 @@ def test_whatever_scene_toml_leaves_out_is_defaulted_with_a_warning(tmp_path, to
     assert ("sensor offsets defaulted" in told) == (toml is None or "[rig" not in toml)
     if toml is not None and "[rig" in toml:
         assert loaded.rig.detector.position_m == (0.0, -0.1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "toml", "told"),
+    [
+        (("directional",), TOML, None),
+        (("directional", "constant"), TOML, "constant"),
+        (("area",), TOML, "area"),
+        (("directional", "constant"), None, "directional, constant"),
+    ],
+)
+def test_light_of_the_xml_that_is_not_used_is_told(
+    tmp_path: Path, kinds: tuple[str, ...], toml: str | None, told: str | None
+) -> None:
+    """A directional one beside a sun of scene.toml stands for it in stock Mitsuba."""
+    folder = scene(tmp_path, toml=toml)
+    text = (folder / "scene.xml").read_text()
+    for kind in kinds:
+        light = f'<emitter type="{kind}"/>'
+        end = "</shape>" if kind == "area" else "</scene>"
+        text = text.replace(end, light + end, 1)
+    (folder / "scene.xml").write_text(text)
+    expected = [] if told is None else [f"light sources of the XML are not used: {told}"]
+    warnings = load_scene(folder).warnings
+    assert [w for w in warnings if w.startswith("light sources")] == expected
 
 
 def test_a_rig_that_turns_needs_a_place(tmp_path: Path) -> None:

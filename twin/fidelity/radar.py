@@ -61,8 +61,9 @@ class RadarFidelity(Knobs):
         ``targets``: declared targets straight ahead, without the scene: no multipath, no clutter,
         no shadows. ``paths``: traced through the scene, where small far meshes answer from tables.
         ``optics``: meshes scatter by physical optics instead of a declared cross-section, over the
-        ground and large walls too. ``rough``: surfaces scatter as well, and reflect the less,
-        and so do bodies of a material with a gamma.
+        ground and large walls too; surfaces are smooth, which is warned of with its size where
+        roughness would take more than `radar_tolerance`. ``rough``: surfaces scatter as well, and
+        reflect the less, and so do bodies of a material with a gamma.
         ``auto``, under a tolerance: those do whose clutter may exceed a tenth of a cell's noise, or
         whose mirror images may lose more than a tenth of `radar_tolerance`.
         Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or

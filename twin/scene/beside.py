@@ -7,6 +7,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from twin.scene.gltf_validation import gltf_content, left_out_of_gltf
+from twin.scene.obj import obj_in_triangles
+from twin.scene.ply import ply_in_triangles
 
 #: Stands for all material files of an OBJ, and materials that none of them defines.
 _LIBRARY = "all materials"
@@ -34,10 +36,14 @@ class ModelFiles:
 
 
 def model_file(model: Path) -> tuple[Any, str | None]:
-    """What trimesh is given of a model: its file and its kind, or its path alone."""
-    if not _is_obj(model):
-        return model, None
-    return BytesIO(f"mtllib {_LIBRARY}\n".encode() + model.read_bytes()), "obj"
+    """What trimesh is given of a model: its file and its kind, or its path alone. Raises InputError
+    for an OBJ or PLY that it would bend into shape.
+    """
+    if _is_obj(model):
+        return BytesIO(f"mtllib {_LIBRARY}\n".encode() + obj_in_triangles(model)), "obj"
+    if model.suffix.lower() == ".ply":
+        return BytesIO(ply_in_triangles(model)), "ply"
+    return model, None
 
 
 def missing_files(model: Path) -> Iterator[str]:

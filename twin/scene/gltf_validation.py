@@ -16,7 +16,9 @@ from urllib.parse import unquote
 
 from twin.files import InputError
 
-_TRIANGLES = 4  # the least mode of a primitive that has faces
+_TRIANGLES, _FAN = 4, 6  # modes of a primitive: the least that has faces, and one that is not read
+_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # of a component
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRANSFORMS = ("translation", "rotation", "scale", "matrix")
 #: Extensions that hold the triangles themselves, and the package with which they are read.
 _COMPRESSED = {
@@ -35,12 +37,20 @@ _TOLD = {
 
 def check_gltf(path: Path) -> None:
     """Raise InputError for a file that is no glTF, one that no reader should be given, and one
-    whose triangles are compressed in a way that is not read.
+    whose triangles are compressed or told in a way that is not read.
     """
     content = gltf_content(path)
     try:
         _check(path, content)
-    except (AttributeError, IndexError, OSError, OverflowError, TypeError, ValueError) as error:
+    except (
+        AttributeError,
+        IndexError,
+        KeyError,
+        OSError,
+        OverflowError,
+        TypeError,
+        ValueError,
+    ) as error:
         if isinstance(error, InputError):
             raise
         raise _invalid(path, error) from error
@@ -74,6 +84,8 @@ def _check(path: Path, content: dict[str, Any]) -> None:
             hint = f" (or install {package})" if package else ""
             raise InputError(f"{path}: needs {name}: export it without compression{hint}")
     _check_counts(path, content)
+    _check_lengths(path, content)
+    _check_primitives(path, content)
     _check_nodes(path, content.get("nodes", ()))
 
 
@@ -90,6 +102,78 @@ def _check_counts(path: Path, content: dict[str, Any]) -> None:
             raise InputError(
                 f"{path}: accessor {number}: {count!r:.40} elements in a model of {held} bytes"
             )
+
+
+def _check_lengths(path: Path, content: dict[str, Any]) -> None:
+    """Buffers hold what is said to lie in them (sections 3.6.1 and 3.6.2)."""
+    buffers, views = content.get("buffers", ()), content.get("bufferViews", ())
+    for number, buffer in enumerate(buffers):
+        held, said = _held(path, buffer), buffer.get("byteLength", 0)
+        if held is not None and held < said:
+            raise InputError(f"{path}: buffer {number}: {held} bytes, expected {said}")
+    for number, view in enumerate(views):
+        end = view.get("byteOffset", 0) + view.get("byteLength", 0)
+        held = buffers[view.get("buffer", 0)].get("byteLength", 0)
+        if end > held:
+            raise InputError(f"{path}: bufferView {number}: ends at byte {end} of {held}")
+    for number, accessor in enumerate(content.get("accessors", ())):
+        size = _BYTES.get(accessor.get("componentType"), 0) * _COMPONENTS.get(
+            accessor.get("type"), 0
+        )
+        if size == 0:
+            told = f"{accessor.get('type')!r} of component {accessor.get('componentType')!r}"
+            raise InputError(f"{path}: accessor {number}: {told:.80}, which glTF does not have")
+        if "bufferView" in accessor and accessor["count"]:
+            view = views[accessor["bufferView"]]
+            steps = (accessor["count"] - 1) * view.get("byteStride", size)
+            end = accessor.get("byteOffset", 0) + steps + size
+            if end > (held := view.get("byteLength", 0)):
+                raise InputError(
+                    f"{path}: accessor {number}: {accessor['count']} elements end at byte {end} "
+                    f"of {held}"
+                )
+
+
+def _held(path: Path, buffer: dict[str, Any]) -> int | None:
+    """Bytes of a buffer; None: those of a file that is not there, which its reader tells."""
+    uri = buffer.get("uri")
+    if uri is None:  # the second chunk of a binary file, its length in front
+        data = path.read_bytes()
+        start = 20 + int.from_bytes(data[12:16], "little")
+        return max(len(data) - start - 8, 0) if data[:4] == b"glTF" else None
+    if uri.startswith("data:"):
+        coded = uri.partition(";base64,")[2].rstrip("=")
+        return len(coded) * 3 // 4 if coded else None
+    beside = path.parent / unquote(uri)
+    return beside.stat().st_size if beside.is_file() else None
+
+
+def _check_primitives(path: Path, content: dict[str, Any]) -> None:
+    """What changes triangles and is not read: without it they would be others, or none."""
+    accessors = content.get("accessors", ())
+    for number, mesh in enumerate(content.get("meshes", ())):
+        for part, primitive in enumerate(mesh.get("primitives", ())):
+            place = f"{path}: mesh {number}, primitive {part}"
+            if (mode := primitive.get("mode", _TRIANGLES)) < _TRIANGLES:
+                continue
+            if mode >= _FAN:
+                raise InputError(f"{place}: a triangle fan (mode {mode}): export it as triangles")
+            used = [*primitive.get("attributes", {}).values(), primitive.get("indices")]
+            if sparse := [n for n in used if n is not None and "sparse" in accessors[n]]:
+                raise InputError(
+                    f"{place}: accessor {sparse[0]} is sparse: export it without sparse accessors"
+                )
+            corners = primitive.get("indices", primitive.get("attributes", {}).get("POSITION"))
+            count = 0 if corners is None else accessors[corners]["count"]
+            if mode == _TRIANGLES and count % 3:
+                raise InputError(f"{place}: {count} corners of triangles, expected three of each")
+    for kind in ("meshes", "nodes"):
+        for number, holder in enumerate(content.get(kind, ())):
+            if any(weights := holder.get("weights", ())):
+                raise InputError(
+                    f"{path}: {kind} {number}: weights = {weights!r:.60} "
+                    "of morph targets: apply these before it is exported"
+                )
 
 
 def _check_nodes(path: Path, nodes: list[dict[str, Any]]) -> None:
@@ -120,12 +204,19 @@ def left_out_of_gltf(path: Path) -> Iterator[str]:
         for primitive in mesh.get("primitives", ())
         if primitive.get("mode", _TRIANGLES) < _TRIANGLES
     ]
+    morphs = [
+        target
+        for mesh in content.get("meshes", ())
+        for primitive in mesh.get("primitives", ())[:1]  # of the others the same
+        for target in primitive.get("targets", ())
+    ]
     for what, found in (
         ("cameras", content.get("cameras", ())),
         ("lights", lights),
         ("parts of points or lines", flat),
         ("animations", content.get("animations", ())),
         ("skins", content.get("skins", ())),
+        ("morph targets", morphs),
     ):
         if found:
             yield f"{what} ({len(found)})"

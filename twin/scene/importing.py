@@ -101,6 +101,8 @@ def import_model(
 
 
 def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
+    if model.is_dir():
+        raise InputError(f"{model}: a folder, expected a mesh file")
     if not model.is_file():
         raise InputError(f"{model}: no such file")
     for name in ("scene.xml", "scene.toml", "meshes"):

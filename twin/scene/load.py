@@ -92,19 +92,20 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")
     sun = settings.make_sun() if settings else None
+    standing_for_sun = () if sun is None else ("directional",)  # in stock Mitsuba
     if sun is None:
         sun = default_sun(rig.pose)
         warnings.append(
             f"{_without(settings, 'a sun')}: sun defaulted to azimuth {sun.azimuth_deg:.0f} deg, "
             f"elevation {sun.elevation_deg:.0f} deg, {sun.illuminance_lx:.0f} lx"
         )
-        if document.emitters:
-            warnings.append(f"light sources of the XML are not used: {_list(document.emitters)}")
     elif sun.elevation_deg < 0 < sun.illuminance_lx:
         warnings.append(
             f"the sun is {-sun.elevation_deg:g} deg below the horizon, and lights the scene from "
             "there: a scene without light of the sun has illuminance_lx = 0"
         )
+    if unused := tuple(e for e in document.emitters if e not in standing_for_sun):
+        warnings.append(f"light sources of the XML are not used: {_list(unused)}")
     if abs(sun.declination_deg or 0.0) > _TROPIC_DEG:
         warnings.append(
             f"the sun never stands there at latitude {sun.latitude_deg:g} deg, north at azimuth "

@@ -13,7 +13,7 @@ from twin.files import InputError
 from twin.geometry import Geometry
 from twin.scene.beside import ModelFiles, model_file
 from twin.scene.gltf_validation import check_gltf
-from twin.scene.mesh_validation import check_not_empty, check_obj, check_stl
+from twin.scene.mesh_validation import check_not_empty, check_stl
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,8 @@ def read_mesh(path: Path, place: str = "") -> Geometry:
     """
     import trimesh
 
+    if path.is_dir():
+        raise InputError(f"{path}: a folder, expected a mesh file")
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     loaded = load_quietly(path, trimesh.load)
@@ -57,13 +59,13 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
     check_not_empty(path)
     if check := _CHECKS.get(path.suffix.lower()):
         check(path)
+    file, kind = model_file(path)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            file, kind = model_file(path)
             files = ModelFiles(path)
             return loader(file, file_type=kind, resolver=files, process=False, maintain_order=False)
     except MemoryError:
@@ -73,7 +75,7 @@ def load_quietly(path: Path, loader: Callable[..., Any]) -> Any:
         raise InputError(f"{path}: can't be read as a mesh ({reason:.200})") from error
 
 
-_CHECKS = {".obj": check_obj, ".stl": check_stl, ".gltf": check_gltf, ".glb": check_gltf}
+_CHECKS = {".stl": check_stl, ".gltf": check_gltf, ".glb": check_gltf}
 
 
 def primitive(kind: str, properties: dict[str, Any]) -> Geometry | None:

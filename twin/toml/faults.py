@@ -60,7 +60,7 @@ def describe(
 def _fault(
     fault: Any, model: type[BaseModel], content: Any, file_keys: Mapping[str, Sequence[str]]
 ) -> str:
-    kind, place = fault["type"], fault["loc"]
+    kind, place = fault["type"], _place(fault, model, content)
     message = fault["msg"].removeprefix("Value error, ")
     field = ".".join(str(part) for part in place)
     if not field:
@@ -88,6 +88,18 @@ def _fault(
         value = value["value"]  # of a value with its source
     shown = "" if isinstance(value, dict | BaseModel) else f" = {value!r:.60}"
     return f"{field}{shown}: {message}"
+
+
+def _place(fault: Any, model: type[BaseModel], content: Any) -> tuple[Any, ...]:
+    """Where a fault is in the file: of one of several types that a value may have, pydantic adds
+    the type.
+    """
+    place: tuple[Any, ...] = fault["loc"]
+    if not place or place[-1] in _fields_at(model, place[:-1]):
+        return place
+    for part in place[:-1]:
+        content = content.get(part) if isinstance(content, Mapping) else None
+    return place[:-1] if content is not None and content is fault["input"] else place
 
 
 def _length_of(fault: Any, model: type[BaseModel]) -> int | None:

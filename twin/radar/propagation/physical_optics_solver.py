@@ -29,7 +29,12 @@ from twin.radar.propagation.physical_optics import (
 )
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
-from twin.radar.propagation.roughness import absorbing_surfaces, rough_surfaces, smooth_bodies
+from twin.radar.propagation.roughness import (
+    absorbing_surfaces,
+    rough_surfaces,
+    smooth_bodies,
+    smooth_surfaces,
+)
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
@@ -139,6 +144,7 @@ def echoes(
         warnings=(
             *silent_objects(scene, radar, roles),
             *absorbing_surfaces(scene, radar, rough),
+            *smooth_surfaces(scene, radar, roles, fidelity),
         ),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,

@@ -47,12 +47,7 @@ def rough_surfaces(
     """
     if fidelity.radar not in ("auto", "rough"):
         return frozenset(), ()
-    candidates = {
-        item.name
-        for item, role in _with_roles(scene, roles)
-        if role is ScatteringModel.SURFACE
-        or (role is ScatteringModel.OPTICS and _gamma(scene, item) is not None)
-    }
+    candidates = {item.name for item in _that_may(scene, roles)}
     if fidelity.radar == "rough":
         return frozenset(candidates), ()
     permitted = OF_TOLERANCE * fidelity.radar_tolerance
@@ -116,14 +111,39 @@ def absorbing_surfaces(scene: Scene, radar: RadarDesign, rough: Collection[str])
     return tuple(warned)
 
 
+def smooth_surfaces(
+    scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
+) -> tuple[str, ...]:
+    """A warning, under the model ``optics``, of what it takes for smooth although its relief would
+    take more from what it mirrors than `radar_tolerance`: by material, at normal incidence.
+    """
+    if fidelity.radar != "optics":
+        return ()
+    names: dict[str, list[str]] = {}
+    lost_db: dict[str, float] = {}
+    for item in _that_may(scene, roles):
+        if (loss := _loss(scene, radar, item)) > fidelity.radar_tolerance:
+            names.setdefault(item.material, []).append(item.name)
+            lost_db[item.material] = -20 * np.log10(max(1 - loss, 1e-10))
+    if not names:
+        return ()
+    told = [
+        f"{of[0]}{f' and {len(of) - 1} more' * (len(of) > 1)} ({material}) by "
+        f"{lost_db[material]:.1f} dB"
+        for material, of in sorted(names.items())
+    ]
+    return (
+        "fidelity.radar = 'optics' takes surfaces for smooth: their roughness would weaken what "
+        f"they mirror at normal incidence, {', '.join(told)}; 'auto' and 'rough' count it",
+    )
+
+
 def smooth_bodies(
     scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
 ) -> tuple[str, ...]:
     """What is assumed of bodies whose material has a height and no gamma: they mirror as smooth
     ones, which is told where roughness would take more than a tolerance permits.
     """
-    if fidelity.radar not in ("auto", "rough"):
-        return ()
     lost = {
         item.material: _loss(scene, radar, item)
         for item, role in _with_roles(scene, roles)
@@ -137,6 +157,16 @@ def smooth_bodies(
         "bodies of a material without gamma mirror as if they were smooth; as rough as their "
         f"rms_height_m their facets would lose, of the amplitude: {', '.join(told)}",
     )
+
+
+def _that_may(scene: Scene, roles: Sequence[Assignment]) -> list[SceneObject]:
+    """Large surfaces, and bodies of a material with a gamma."""
+    return [
+        item
+        for item, role in _with_roles(scene, roles)
+        if role is ScatteringModel.SURFACE
+        or (role is ScatteringModel.OPTICS and _gamma(scene, item) is not None)
+    ]
 
 
 def _with_roles(
