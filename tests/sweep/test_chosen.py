@@ -14,7 +14,9 @@ from twin.errors import InputError
 from twin.radar.device.design import load_radar
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.chosen import best_point, chosen, write_chosen
+from twin.sweep.front import designs_on_front
 from twin.sweep.inputs import inputs_of
+from twin.sweep.names import CLOSED_FORM, RENDERED, Named
 from twin.sweep.setup import system_of
 from twin.sweep.store import create_or_resume
 from twin.system import load_system
@@ -75,6 +77,26 @@ def test_the_best_point_is_that_of_most_or_least(swept: Path) -> None:
     snr, time_s = (data[name].to_numpy().ravel() for name in ("snr", "minimum_time_s"))
     assert snr[best_point(data, "snr").point] == snr.max()
     assert time_s[best_point(data, "minimum_time_s").point] == time_s.min()
+
+
+#: Of these less is better: what spoils an image, and what one waits for.
+LESS = {
+    "background_e", "noise_e", "saturated", "minimum_time_s", "range_error_m", "background_e_per_s"
+}  # fmt: skip
+
+
+def test_every_metric_says_itself_whether_more_or_less_is_better(tmp_path: Path) -> None:
+    """None by a default: sunlight of a closed form had been best where there was most of it."""
+    with pytest.raises(TypeError, match="better"):
+        Named("1", "a metric that does not say")  # type: ignore[call-arg]
+    for known in (RENDERED, CLOSED_FORM):
+        assert {name for name, one in known.items() if one.better == "less"} == LESS & known.keys()
+    head = 'model = "closed-form"\nmetrics = ["background_e_per_s", "signal_e_per_s"]\n'
+    study = load_study(write(tmp_path, '[grid]\n"system.optics.f_number" = [1.4, 0.8, 2]\n', head))
+    data = open_sweep(run_sweep(study, out=tmp_path / "out", workers=0).out)
+    for name, best in (("background_e_per_s", 2), ("signal_e_per_s", 1)):
+        assert best_point(data, name).point == best
+    assert len(designs_on_front(data, *study.metrics).rows) == 3  # a trade, of each other
 
 
 def test_points_that_are_void_are_not_the_best_and_near_ones_are_told(swept: Path) -> None:
