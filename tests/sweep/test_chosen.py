@@ -155,6 +155,20 @@ def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:
         chosen(out, 0, tmp_path / "best.toml")
 
 
+def test_a_design_that_no_command_takes_is_not_written(tmp_path: Path) -> None:
+    """Of a line sensor the closed form takes one pixel; with the study's emitter of many columns
+    it is no system. What was there stays.
+    """
+    head = CLOSED + '[grid]\n"system.detector.part" = ["fga015", "g9201-256-paper"]\n'
+    out = run_sweep(load_study(write(tmp_path, "", head)), out=tmp_path / "out", workers=0).out
+    path = tmp_path / "best.toml"
+    refused = show(out, "--save", path, "--point", 1)
+    assert f"{path}: a line sensor takes its columns itself" in str(refused.exception)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "study.toml"]
+    assert show(out, "--save", path, "--point", 0).exit_code == 0
+    assert load_system(path).name == "best"
+
+
 def test_a_base_that_changed_since_is_refused(tmp_path: Path) -> None:
     """Its values would not be those of the point."""
     (tmp_path / "parts").mkdir()
