@@ -30,7 +30,7 @@ n = {n}
 [sample.ranges]
 "link.distance_m" = {{ low = 1.0, high = 100.0, log = true }}
 "system.optics.f_number" = {{ low = 1.0, high = 4.0 }}
-"system.acquisition.integration_time_s" = {{ low = 1e-6, high = 1e-2, log = true }}
+"system.acquisition.integration_time_s" = {{ low = 1e-6, high = 1e-4, log = true }}
 """
 _FEW_PATHS = '"fidelity.samples" = 16\n"fidelity.max_depth" = 1'
 _RENDERED = """

@@ -14,7 +14,9 @@ from twin.errors import InputError
 from twin.radar.device.design import load_radar
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.chosen import best_point, chosen, write_chosen
+from twin.sweep.front import designs_on_front
 from twin.sweep.inputs import inputs_of
+from twin.sweep.names import CLOSED_FORM, RENDERED, Named
 from twin.sweep.setup import system_of
 from twin.sweep.store import create_or_resume
 from twin.system import load_system
@@ -77,6 +79,26 @@ def test_the_best_point_is_that_of_most_or_least(swept: Path) -> None:
     assert time_s[best_point(data, "minimum_time_s").point] == time_s.min()
 
 
+#: Of these less is better: what spoils an image, and what one waits for.
+LESS = {
+    "background_e", "noise_e", "saturated", "minimum_time_s", "range_error_m", "background_e_per_s"
+}  # fmt: skip
+
+
+def test_every_metric_says_itself_whether_more_or_less_is_better(tmp_path: Path) -> None:
+    """None by a default: sunlight of a closed form had been best where there was most of it."""
+    with pytest.raises(TypeError, match="better"):
+        Named("1", "a metric that does not say")  # type: ignore[call-arg]
+    for known in (RENDERED, CLOSED_FORM):
+        assert {name for name, one in known.items() if one.better == "less"} == LESS & known.keys()
+    head = 'model = "closed-form"\nmetrics = ["background_e_per_s", "signal_e_per_s"]\n'
+    study = load_study(write(tmp_path, '[grid]\n"system.optics.f_number" = [1.4, 0.8, 2]\n', head))
+    data = open_sweep(run_sweep(study, out=tmp_path / "out", workers=0).out)
+    for name, best in (("background_e_per_s", 2), ("signal_e_per_s", 1)):
+        assert best_point(data, name).point == best
+    assert len(designs_on_front(data, *study.metrics).rows) == 3  # a trade, of each other
+
+
 def test_points_that_are_void_are_not_the_best_and_near_ones_are_told(swept: Path) -> None:
     """Of those within the errors of the best each is counted."""
     data = open_sweep(swept).load()
@@ -131,6 +153,20 @@ def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:
     out = run_sweep(study, out=tmp_path / "out", workers=0).out
     with pytest.raises(InputError, match="differs in neither system nor radar: link"):
         chosen(out, 0, tmp_path / "best.toml")
+
+
+def test_a_design_that_no_command_takes_is_not_written(tmp_path: Path) -> None:
+    """Of a line sensor the closed form takes one pixel; with the study's emitter of many columns
+    it is no system. What was there stays.
+    """
+    head = CLOSED + '[grid]\n"system.detector.part" = ["fga015", "g9201-256-paper"]\n'
+    out = run_sweep(load_study(write(tmp_path, "", head)), out=tmp_path / "out", workers=0).out
+    path = tmp_path / "best.toml"
+    refused = show(out, "--save", path, "--point", 1)
+    assert f"{path}: a line sensor takes its columns itself" in str(refused.exception)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "study.toml"]
+    assert show(out, "--save", path, "--point", 0).exit_code == 0
+    assert load_system(path).name == "best"
 
 
 def test_a_base_that_changed_since_is_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from studies import write
 
 from twin.budget import wall_rows
 from twin.camera.shutters import shutters
+from twin.files import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import Chunk, evaluate_chunk
 from twin.system import load_system
@@ -126,6 +127,47 @@ def test_what_decides_whether_a_point_is_void_may_vary(
     grid = f'[grid]\n"system.readout.{parameter}" = {values}\n'
     assert points(tmp_path, system, grid).void == {"camera": [0]}
     assert not run_sweep(tmp_path / "study.toml", out=tmp_path / "out").without_effect
+
+
+@pytest.mark.parametrize("tof", ["", "[time_of_flight]\nmodulation_hz = [1e5]\ncontrast = 0.8\n"])
+def test_a_time_that_no_system_exposes_for_fails_as_in_a_rendered_sweep(
+    tmp_path: Path, tof: str
+) -> None:
+    """Longer than its period, or too short for its modulation: each point against the system with
+    that time, which says why. They had been the best, and were saved in files that nothing takes.
+    """
+    drawn = (
+        '[sample]\nmethod = "sobol"\nn = 64\n[sample.ranges]\n'
+        '"system.acquisition.integration_time_s" = { low = 1e-6, high = 1e-2, log = true }\n'
+    )
+    chunk, expected = points(tmp_path, tof, drawn), {}
+    made, plan = load_system(tmp_path / "mine.toml"), load_study(tmp_path / "study.toml")
+    for index in range(64):
+        (time_s,) = plan.point(index).values()
+        try:
+            made.with_({"acquisition.integration_time_s": time_s})
+        except InputError as error:
+            expected[index] = f"InputError: {error}"
+    assert chunk.errors == expected
+    assert len({why.partition(" = ")[0] for why in expected.values()}) == (2 if tof else 1)
+    failed = np.isin(np.arange(64), list(expected))
+    assert 10 < failed.sum() < 60
+    for column in chunk.values.values():
+        np.testing.assert_array_equal(np.isnan(column), failed)
+    assert not chunk.warnings.get("left_out", {}).keys() & expected.keys()
+
+
+def test_a_time_that_is_too_long_in_every_point_is_refused_by_the_files_name(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "mine.toml").write_text('base = "workable"\n')
+    text = '[set]\n"system.acquisition.integration_time_s" = "1 ms"\n' + AT_5_M
+    path, wanted = (
+        write(tmp_path, text, ALL),
+        "integration_time_s is longer than pattern_period_s = ",
+    )
+    with pytest.raises(InputError, match=f"study.toml: no point can be set up: .*{wanted}"):
+        run_sweep(path, out=tmp_path / "out")
 
 
 def test_many_amplifiers_are_one_array(tmp_path: Path) -> None:

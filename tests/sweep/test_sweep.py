@@ -242,7 +242,7 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
         '[sample]\nmethod = "latin-hypercube"\nn = 100000\n[sample.ranges]\n'
         '"link.distance_m" = { low = 1.0, high = 100.0, log = true }\n'
         '"system.optics.f_number" = { low = 1.0, high = 4.0 }\n'
-        '"system.acquisition.integration_time_s" = { low = 1e-6, high = 1e-2, log = true }\n',
+        '"system.acquisition.integration_time_s" = { low = 1e-6, high = 1e-4, log = true }\n',
         CLOSED,
     )
     start = time.perf_counter()
@@ -251,7 +251,8 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
     data = open_sweep(tmp_path / "out")
     assert np.isfinite(data["snr"]).all()
     assert data["link.distance_m"].min() >= 1
-    moved = sensitivities(data, "maximum_distance_m")
+    # Also of points that are void at their own distance: near ones are that more often.
+    moved = sensitivities(data, "maximum_distance_m", void=True)
     time_share = moved["system.acquisition.integration_time_s"]
     # A farthest distance knows no distance.
     assert time_share.first > 0.5 > moved["link.distance_m"].first_error
@@ -432,6 +433,22 @@ def test_a_scheduler_without_workers_is_said(
         ('[grid]\n"system.optics.f_number" = [1.0, 1.0]\n', "stands twice"),
         ('[grid]\n"system.filter.width_m" = ["12 s"]\n', "expected a number or a quantity in m"),
         ('[grid]\n"system.emitter.rows" = [16]\n', "given twice"),
+        (
+            '[grid]\n"weather.visibility_m" = [50]\n"system.weather.visibility_m" = [500]\n',
+            "system.weather.visibility_m: is given twice, as weather.visibility_m too",
+        ),
+        (
+            '"system.weather.visibility_m" = 500\n[grid]\n"weather.visibility_m" = [50, 500]\n',
+            "weather.visibility_m: is given twice, as system.weather.visibility_m too",
+        ),
+        (
+            '[grid]\n"link.nope" = [1]\n',
+            "link.nope: is no parameter; there are link.distance_m, link.reflectance",
+        ),
+        (
+            '[grid]\n"zzz" = [1]\n',
+            "zzz: is no parameter; there are scene…, system…, radar…, seed…",
+        ),
         (
             '[[zip]]\n"system.optics.f_number" = [1.0]\n"link.distance_m" = [1.0, 2.0]\n',
             "different lengths",

@@ -288,7 +288,15 @@ def measure(
             scatter=scatter,
             of_exposures=_error_of_exposures(frame, to_e, power, system),
         ),
-        noise_draws=NoiseDraws(chain, power, record, noise=noise, mean_w=mean_w, sun_w=open_w),
+        noise_draws=NoiseDraws(
+            chain,
+            power,
+            record,
+            noise=noise,
+            seed=int(rng.spawn(1)[0].integers(2**63)),  # draws nothing of the record's own noise
+            mean_w=mean_w,
+            sun_w=open_w,
+        ),
         distance_m=rendered.half_paths_m(),
     )
 

@@ -15,12 +15,16 @@ from twin.fidelity import Noise
 Array = NDArray[np.float64]
 
 #: Other records of a frame.
-N_DRAWS = 16
-_SEED = 18
+N_DRAWS = 32
 
 
 class NoiseDraws:
-    """Draws of the noise of a captured frame, always the same ones."""
+    """Draws of the noise of a captured frame, the same ones of the same frame.
+
+    Their ``seed`` comes from the frame's own noise: another capture has other draws, so that a
+    standard deviation which so few of them give too small is not that of all captures alike.
+    Points of a sweep, whose noise has one seed, have the same draws.
+    """
 
     def __init__(
         self,
@@ -29,6 +33,7 @@ class NoiseDraws:
         record: SpiRecord,
         *,
         noise: Noise,
+        seed: int,
         mean_w: Array | None = None,
         sun_w: Array | None = None,
     ) -> None:
@@ -36,7 +41,7 @@ class NoiseDraws:
         `Chain.measure_frame` takes them.
         """
         self._chain, self._power, self._record = chain, power, record
-        self._noise, self._mean_w, self._sun_w = noise, mean_w, sun_w
+        self._noise, self.seed, self._mean_w, self._sun_w = noise, seed, mean_w, sun_w
 
     @property
     def has_noise(self) -> bool:
@@ -60,7 +65,7 @@ class NoiseDraws:
         return tuple(measurements(with_level(record.received)) for record in self.records)
 
     def _drawn(self) -> Iterator[SpiRecord]:
-        rng = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(self.seed)
         mean_w = self._chain.mean_signal(self._power) if self._mean_w is None else self._mean_w
         for _ in range(N_DRAWS):
             _, counts, flags = self._chain.measure_frame(

@@ -30,7 +30,7 @@ def with_accuracy(study: Study, accuracy: Accuracy) -> Study:
     varied = [n for n in (TOLERANCE, PRESET) if n in study.parameters and n not in study.set]
     if varied:
         raise InputError(
-            f"{study.name}: varies {varied[0]}, expected no other tolerance or fidelity beside it"
+            f"{study.label}: varies {varied[0]}, expected no other tolerance or fidelity beside it"
         )
     own = {n: value for n, value in study.set.items() if n not in (TOLERANCE, PRESET)}
     return study.with_set({**_said(accuracy, has_radar=needs_radar(study.metrics)), **own})

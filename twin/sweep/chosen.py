@@ -3,7 +3,8 @@
 import json
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,12 +14,15 @@ import numpy as np
 from hardware.files import whole_file
 from hardware.formatting import setting_text
 from twin.files import InputError
+from twin.radar.device.design import load_radar
 from twin.sweep.dataset import COARSE, column, gain, half_width
 from twin.sweep.inputs import beside, digest_now
 from twin.sweep.names import needs_radar
+from twin.sweep.parameters import full_name
 from twin.sweep.setup import Values, groups_of
 from twin.sweep.store import stored_inputs, stored_study
 from twin.sweep.study import Study, Value
+from twin.system import load_system
 from twin.toml import names_file, placed
 
 if TYPE_CHECKING:
@@ -32,7 +36,8 @@ _OPTIONS = {
     "fidelity.preset": "--fidelity",
     "fidelity.tolerance": "--tolerance",
 }
-_KINDS = ("system", "radar")
+_LOADERS: dict[str, Callable[[Path], object]] = {"system": load_system, "radar": load_radar}
+_KINDS = tuple(_LOADERS)
 
 
 @dataclass(frozen=True)
@@ -47,9 +52,12 @@ class Best:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Files of a point, by path, the command that runs them, and what neither says."""
+    """Files of a point, by path, the ``kinds`` of design they hold, the command that runs them, and
+    what neither says.
+    """
 
     files: Mapping[Path, str]
+    kinds: tuple[str, ...]
     command: str
     left_out: tuple[str, ...]
 
@@ -107,24 +115,37 @@ def chosen(sweep: Path, point: int, path: Path) -> Chosen:
         raise InputError(f"point {point}: differs in neither system nor radar: {told or 'in none'}")
     _check_bases(sweep, study, values)
     command, left_out = _command(study, others, {kind: places[kind] for kind in files})
-    return Chosen({places[kind]: text for kind, text in files.items()}, command, left_out)
+    texts = {places[kind]: text for kind, text in files.items()}
+    return Chosen(texts, tuple(files), command, left_out)
 
 
 def write_chosen(found: Chosen) -> None:
-    """Write the files, each whole or not at all. Raises InputError where there is one already that
-    says something else.
+    """Write the files, each whole or not at all, after they were read as any command reads them.
+    Raises InputError where there is one already that says something else, and for what no command
+    takes; nothing is written then.
     """
     for path, text in found.files.items():
         if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
             raise InputError(f"{path}: exists already, expected a new file")
-    for path, text in found.files.items():
-        with whole_file(path) as partial:
+    with ExitStack() as written:
+        for kind, (path, text) in zip(found.kinds, found.files.items(), strict=True):
+            partial = written.enter_context(whole_file(path))
             partial.write_text(text, encoding="utf-8")
+            if partial != path:  # no pipe
+                _check_design(kind, partial, path)
+
+
+def _check_design(kind: str, partial: Path, path: Path) -> None:
+    """Raise InputError, which names the file as it is to be, for what is no system or radar."""
+    try:
+        _LOADERS[kind](partial)
+    except InputError as error:
+        said = str(error).replace(str(partial), str(path))
+        raise InputError(f"{said}; nothing was written") from error
 
 
 def _is_in(name: str, files: Mapping[str, str]) -> bool:
-    root = name.partition(".")[0]
-    return ("system" if root == "weather" else root) in files
+    return full_name(name).partition(".")[0] in files
 
 
 def _file(study: Study, kind: str, values: Values, path: Path, said: str) -> str:

@@ -65,9 +65,10 @@ _WAVELENGTHS = (
     "system.filter.center_wavelength_m",
     "system.filter.width_m",
 )
+_TIME = "system.acquisition.integration_time_s"
 #: Numbers that are no part of the link: whether each may be 0, and the most it may be.
 _OF_THE_POINT = LINK | {
-    "system.acquisition.integration_time_s": (False, np.inf),
+    _TIME: (False, np.inf),
     "system.readout.read_noise_e": (True, np.inf),
 }
 
@@ -83,13 +84,15 @@ _OWN = (
 @dataclass(frozen=True, eq=False)
 class ClosedForm:
     """Metrics of points by name, (n,) each, and of each point its ``fill``: all that is collected
-    with all cells lit, over the converter's range, or over the well if that is less; and what is
-    ``left_out`` of its system, in words.
+    with all cells lit, over the converter's range, or over the well if that is less; what is
+    ``left_out`` of its system, in words; and why no system exposes for the time of the point, its
+    ``fault``, empty where one does.
     """
 
     metrics: dict[str, Array]
     fill: Array
     left_out: Array
+    fault: Array
 
 
 def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
@@ -103,15 +106,16 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
     _check(columns)
     own = {name: np.empty(n) for name in _OWN}
     values = {name: np.empty(n) for name in OpticalLink.__dataclass_fields__}
-    left_out = np.full(n, "", dtype=object)
-    for points, system, link in _links(study, columns, inputs):
+    left_out, fault = (np.full(n, "", dtype=object) for _ in range(2))
+    for points, system, link, faults in _links(study, columns, inputs):
         for name, column in values.items():
             column[points] = getattr(link, name)
         for name, value in _of_front_end(system).items():
             own[name][points] = value
         left_out[points] = "; ".join(left_out_of_exposure(system))
+        fault[points] = faults
     link, longer = OpticalLink(**values), LongerNoise(*(own[name] for name in _LONGER))
-    time = columns.get("system.acquisition.integration_time_s", own["time_s"])
+    time = columns.get(_TIME, own["time_s"])
     read = columns.get("system.readout.read_noise_e", own["read_e"])
     distance = columns.get("link.distance_m", np.float64(5.0))
     reflectance = columns.get("link.reflectance", np.float64(0.5))
@@ -135,6 +139,7 @@ def closed_form(study: Study, columns: Columns, inputs: Inputs) -> ClosedForm:
         {name: np.broadcast_to(results[name], (n,)) for name in study.metrics},
         np.broadcast_to(fill, (n,)),
         left_out,
+        fault,
     )
 
 
@@ -166,8 +171,10 @@ def _of_front_end(system: System) -> dict[str, Any]:
 
 def _links(
     study: Study, columns: Columns, inputs: Inputs
-) -> Iterator[tuple[Array, System, OpticalLink]]:
-    """Points that share all but numbers, their system, and their links as one of arrays."""
+) -> Iterator[tuple[Array, System, OpticalLink, Array]]:
+    """Points that share all but numbers, their system, their links as one of arrays, and of each
+    why the system does not expose for so long.
+    """
     free = [name for name in columns if name not in _OF_THE_POINT]
     arrays = [n for n in free if n in (*_ARRAYS, *_WAVELENGTHS) and columns[n].dtype.kind in "if"]
     for points in _alike(columns, [name for name in free if name not in arrays]):
@@ -181,7 +188,8 @@ def _links(
                 _made(study, first | corner, inputs)
             of_part = {n: column for n, column in own.items() if _section(n) == "detector"}
             system = _filled(system, {n: own[n] for n in own.keys() - of_part.keys()})
-            yield some, system, field_link(system, _filled(part, of_part))
+            link = field_link(system, _filled(part, of_part))
+            yield some, system, link, _faults(study, first, columns, some, inputs)
 
 
 def _alike(columns: Columns, names: list[str], points: Array | None = None) -> Iterator[Array]:
@@ -211,6 +219,37 @@ def _made(study: Study, values: dict[str, Value], inputs: Inputs) -> tuple[Syste
     if own:
         part = changed(part, tuple((n.removeprefix("system."), v) for n, v in own.items()), inputs)
     return system, part
+
+
+def _faults(
+    study: Study, values: dict[str, Value], columns: Columns, points: Array, inputs: Inputs
+) -> Array:
+    """Why a system does not expose for the times of some points, in its own words, or empty. Its
+    conditions are bounds: where two times are told the same, so are those between them.
+    """
+    if _TIME not in columns:
+        return np.full(len(points), "", dtype=object)
+    times_s, places = np.unique(columns[_TIME][points], return_inverse=True)
+
+    def told(index: int) -> str:
+        try:
+            _made(study, values | {_TIME: times_s[index].item()}, inputs)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    ends = [(0, len(times_s) - 1)]
+    found = {index: told(index) for index in ends[0]}
+    faults = np.full(len(times_s), "", dtype=object)
+    while ends:
+        first, last = ends.pop()
+        if found[first] == found[last] or last - first == 1:
+            faults[first], faults[first + 1 : last + 1] = found[first], found[last]
+            continue
+        middle = (first + last) // 2
+        found[middle] = told(middle)
+        ends += [(first, middle), (middle, last)]
+    return np.asarray(faults[places])
 
 
 def _one_by_one(system: System, part: Part) -> tuple[str, ...]:

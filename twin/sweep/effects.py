@@ -40,7 +40,7 @@ def check_points(study: Study, inputs: Inputs) -> None:
             first = first or error
     else:
         which = "no point" if most == n else f"none of {most} points"
-        raise InputError(f"{study.name}: {which} can be set up: {first}") from first
+        raise InputError(f"{which} can be set up: {first}") from first
     lux = "scene.sun.illuminance_lx"
     if lux in study.parameters and all(
         inputs.get("system", str(name)).sky is not None
@@ -53,7 +53,9 @@ def check_points(study: Study, inputs: Inputs) -> None:
 
 def _try(study: Study, index: int, inputs: Inputs) -> None:
     if study.model == "closed-form":
-        closed_form(study, study.columns(index, index + 1), inputs)
+        (fault,) = closed_form(study, study.columns(index, index + 1), inputs).fault
+        if fault:
+            raise InputError(fault)
     else:
         setup(study, study.point(index), inputs)
 

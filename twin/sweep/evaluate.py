@@ -138,11 +138,15 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
             found = closed_form(study, study.columns(start, stop), inputs)
         columns = {n: np.asarray(v, np.float64) for n, v in found.metrics.items()}
         chunk = Chunk(np.arange(start, stop), columns)
-        for k in np.flatnonzero(found.fill >= 1).tolist():
+        can_be = found.fault == ""
+        for k in np.flatnonzero(~can_be).tolist():
+            chunk.errors[start + k] = f"InputError: {found.fault[k]}"
+        chunk.values = {n: np.where(can_be, column, np.nan) for n, column in columns.items()}
+        for k in np.flatnonzero(can_be & (found.fill >= 1)).tolist():
             text = f"all cells lit are {100 * found.fill[k]:.3g} % of the converter's range or well"
             chunk.warnings.setdefault("saturated", {})[start + k] = text
             chunk.void.setdefault("camera", []).append(start + k)
-        for k in np.flatnonzero(found.left_out != "").tolist():
+        for k in np.flatnonzero(can_be & (found.left_out != "")).tolist():
             text = f"the closed form leaves out {found.left_out[k]}"
             chunk.warnings.setdefault("left_out", {})[start + k] = text
         for name, column in chunk.values.items():

@@ -10,16 +10,16 @@ from twin.errors import InputError
 
 @dataclass(frozen=True)
 class Named:
-    """A number's unit and what it is; ``of_radar``: the radar must run for it, ``of_image``: an
-    image must be reconstructed; ``better``: more of it, or less; ``why_void``: it says why a record
-    is void, and is listed of void points too.
+    """A number's unit and what it is; ``better``: more of it, or less, which each says itself;
+    ``of_radar``: the radar must run for it, ``of_image``: an image must be reconstructed;
+    ``why_void``: it says why a record is void, and is listed of void points too.
     """
 
     unit: str
     meaning: str
+    better: Literal["more", "less"]
     of_radar: bool = False
     of_image: bool = False
-    better: Literal["more", "less"] = "more"
     why_void: bool = False
 
 
@@ -31,31 +31,32 @@ RENDERED = {
         "1",
         "signal over noise per pixel, median of those that are lit, of noise alone: what patterns "
         "that are not shown would add is not counted",
+        "more",
     ),
-    "snr_above_1": Named("1", "share of lit pixels above their noise"),
-    "signal_e": Named("e", "signal of one average exposure"),
-    "background_e": Named("e", "sun in one exposure", better="less"),
-    "noise_e": Named("e", "noise of one exposure", better="less"),
-    "saturated": Named("1", "share of exposures marked saturated", better="less", why_void=True),
-    "in_band": Named("1", "share of the emitter's line inside the filter"),
-    "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", of_image=True),
-    "ssim": Named("1", "structural similarity of the image", of_image=True),
+    "snr_above_1": Named("1", "share of lit pixels above their noise", "more"),
+    "signal_e": Named("e", "signal of one average exposure", "more"),
+    "background_e": Named("e", "sun in one exposure", "less"),
+    "noise_e": Named("e", "noise of one exposure", "less"),
+    "saturated": Named("1", "share of exposures marked saturated", "less", why_void=True),
+    "in_band": Named("1", "share of the emitter's line inside the filter", "more"),
+    "psnr_db": Named("dB", "peak signal-to-noise ratio of the image", "more", of_image=True),
+    "ssim": Named("1", "structural similarity of the image", "more", of_image=True),
     "minimum_time_s": Named(
-        "s", f"integration for SNR 1 in the median lit pixel, {_NOISE_ALONE}", better="less"
+        "s", f"integration for SNR 1 in the median lit pixel, {_NOISE_ALONE}", "less"
     ),
-    "maximum_distance_m": Named("m", f"distance for SNR 1 in the median lit pixel, {_NOISE_ALONE}"),
-    "frame_rate_hz": Named("Hz", "frames per second, acquisition alone"),
-    "range_error_m": Named(
-        "m", "largest range error of a detected target", of_radar=True, better="less"
+    "maximum_distance_m": Named(
+        "m", f"distance for SNR 1 in the median lit pixel, {_NOISE_ALONE}", "more"
     ),
-    "detections": Named("1", "true targets that are detected", of_radar=True),
+    "frame_rate_hz": Named("Hz", "frames per second, acquisition alone", "more"),
+    "range_error_m": Named("m", "largest range error of a detected target", "less", of_radar=True),
+    "detections": Named("1", "true targets that are detected", "more", of_radar=True),
 }
 CLOSED_FORM = {
-    "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit"),
-    "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current"),
-    "snr": Named("1", f"signal over noise {_ALL_LIT}"),
-    "minimum_time_s": Named("s", f"integration for SNR 1 {_ALL_LIT}", better="less"),
-    "maximum_distance_m": Named("m", f"distance for SNR 1 {_ALL_LIT}"),
+    "signal_e_per_s": Named("e/s", "photo-electrons of the emitter, all cells lit", "more"),
+    "background_e_per_s": Named("e/s", "photo-electrons of the sun, and dark current", "less"),
+    "snr": Named("1", f"signal over noise {_ALL_LIT}", "more"),
+    "minimum_time_s": Named("s", f"integration for SNR 1 {_ALL_LIT}", "less"),
+    "maximum_distance_m": Named("m", f"distance for SNR 1 {_ALL_LIT}", "more"),
 }
 
 

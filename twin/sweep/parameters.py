@@ -42,6 +42,11 @@ def is_optical(name: str) -> bool:
     return _LATER.match(name) is None
 
 
+def full_name(name: str) -> str:
+    """A parameter's name from its root on: ``weather.FIELD`` is one of the system."""
+    return f"system.{name}" if name.partition(".")[0] == "weather" else name
+
+
 def check_name(name: str) -> None:
     """Raise InputError, with the nearest name, for a parameter that does not exist."""
     if name in _plain_names():
@@ -52,8 +57,17 @@ def check_name(name: str) -> None:
     section, _, knob = name.rpartition(".")
     if section == "fidelity" and knob in REPLACED:
         raise InputError(f"{name}: is no parameter any more; it {REPLACED[knob]}")
-    near = difflib.get_close_matches(name, _plain_names(), n=1)
-    raise InputError(f"{name}: is no parameter" + (f"; did you mean {near[0]}?" if near else ""))
+    raise InputError(f"{name}: is no parameter; {_hint(name)}")
+
+
+def _hint(name: str) -> str:
+    """The nearest name; where none is near, those of the same section, or the roots."""
+    if near := difflib.get_close_matches(name, _plain_names(), n=1):
+        return f"did you mean {near[0]}?"
+    section, _, _ = name.rpartition(".")
+    beside = [known for known in _plain_names() if section and known.startswith(f"{section}.")]
+    roots = dict.fromkeys(known.partition(".")[0] for known in _plain_names())
+    return f"there are {', '.join(beside or (f'{root}…' for root in roots))}"
 
 
 def check_value(name: str, value: Value) -> Value:

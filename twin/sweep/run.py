@@ -108,13 +108,16 @@ def run_sweep(
     if fidelity is not None:
         study = with_accuracy(study, fidelity)
     if study.n_points > _MANY and not yes:
-        raise InputError(f"{study.name}: {study.n_points} points; --yes to go ahead")
+        raise InputError(f"{study.label}: {study.n_points} points; --yes to go ahead")
     if workers is not None and workers < 0:
         raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
     out = folder_of(study, out)
     inputs = inputs_of(study)
-    check_points(study, inputs)
+    try:
+        check_points(study, inputs)
+    except InputError as error:
+        raise type(error)(f"{study.label}: {error}") from error
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
     chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
     with locked(out, "sweep"):

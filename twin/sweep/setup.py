@@ -14,6 +14,7 @@ from twin.radar.device.design import RadarDesign
 from twin.scene import Scene
 from twin.sweep.inputs import Held, Inputs
 from twin.sweep.names import needs_radar
+from twin.sweep.parameters import full_name
 from twin.sweep.study import Study, Value
 from twin.system import System
 from twin.toml import Entry, names_file, placed
@@ -76,9 +77,7 @@ def groups_of(values: Values) -> dict[str, Values]:
     """Values by the root of their names, each with the rest of its name."""
     groups: dict[str, Values] = {}
     for name, value in values.items():
-        root, _, rest = name.partition(".")
-        if root == "weather":
-            root, rest = "system", name
+        root, _, rest = full_name(name).partition(".")
         groups.setdefault(root, {})[rest] = value
     return groups
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, StrictBool, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, StrictBool, ValidationError, model_validator
 
 from twin.files import InputError
 from twin.sweep.accuracy_names import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
 from twin.sweep.names import check_front, check_metrics
 from twin.sweep.objects import named
-from twin.sweep.parameters import check_value, is_optical
+from twin.sweep.parameters import check_value, full_name, is_optical
 from twin.sweep.relevance import check_effects
 from twin.toml import Finite, Name, Strict, describe, read_toml
 
@@ -104,6 +104,7 @@ class Study(Strict):
     """Folder to which names of files in the study are relative; a file's own, never in the file."""
     objects: Annotated[dict[str, Any], Field(exclude=True, repr=False)] = {}
     """In Python: objects by the names that they get."""
+    _file: str = PrivateAttr("")
 
     if not TYPE_CHECKING:
 
@@ -122,15 +123,16 @@ class Study(Strict):
 
     @model_validator(mode="after")
     def _is_consistent(self) -> "Study":
-        seen: set[str] = set()
+        seen: dict[str, str] = {}  # as each is said
         groups: list[Mapping[str, Any]] = [self.set, self.grid, *self.zip]
         if self.sample:
             groups.append(self.sample.ranges)
         for names in groups:
             for name in names:
-                if name in seen:
-                    raise InputError(f"{name}: is given twice")
-                seen.add(name)
+                if other := seen.get(full_name(name)):
+                    too = "" if other == name else f", as {other} too"
+                    raise InputError(f"{name}: is given twice{too}")
+                seen[full_name(name)] = name
         for index, together in enumerate(self.zip):
             lengths = {name: len(values) for name, values in together.items()}
             if len(set(lengths.values())) != 1:
@@ -151,7 +153,14 @@ class Study(Strict):
         InputError as a study does.
         """
         said = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self)(**{**said, "set": values})
+        changed = type(self)(**{**said, "set": values})
+        changed._file = self._file
+        return changed
+
+    @property
+    def label(self) -> str:
+        """How messages name it: its file, or without one its name."""
+        return self._file or self.name
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -259,6 +268,7 @@ def load_study(path: str | Path) -> Study:
             raise InputError(f"{path}: {field}: is no field of a study")
     try:
         study = Study.model_validate({**content, "folder": path.resolve().parent})
+        study._file = str(path)
     except ValidationError as error:
         raise InputError(f"{path}: {describe(error, Study, content)}") from error
     except InputError as error:

@@ -50,7 +50,8 @@ class Acquisition(Strict):
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":
         if self.integration_time_s.value > self.pattern_period_s.value:
-            raise InputError("integration_time_s is longer than pattern_period_s")
+            period_s = self.pattern_period_s.value
+            raise InputError(f"integration_time_s is longer than pattern_period_s = {period_s:g}")
         return self
 
     def residue(self, tau_s: float) -> float:
