@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 # From here on a figure comes with a warning.
 _SMALL = 3.0  # wavelengths that a target measures: at 2.6 the Austin plates are 10 dB off
 _NARROW = 1.0
-_FACETED = 1 / 16  # wavelengths between facets and the surface they stand for: 45 deg of phase
+#: Wavelengths between facets and the surface they stand for, 22 deg of phase: at 0.05, a cylinder
+#: of 32 sides, echoes are off by up to 1.8 dB.
+_FACETED = 1 / 32
 _GRAZED = 0.5  # share of the lit wavefront
 _UNFINISHED = 0.01
 
