@@ -274,3 +274,15 @@ def test_coarse_cylinders_are_warned_of(sides: int, coarse: bool) -> None:
     mesh = trimesh.creation.cylinder(0.04, 0.3, sections=sides)
     told = sweep(as_target(mesh), CARRIER, [0.0]).warnings
     assert any("finer mesh" in text for text in told) == coarse
+
+
+def test_edges_that_are_left_out_are_warned_of_where_they_count() -> None:
+    """Of a plate at 40 deg they are larger than the facets' echo; a ball has none."""
+    plate = as_target(polygons(rectangle(0.2, 0.2)))
+    without, with_edges = (sweep(plate, CARRIER, [40.0], edges=edges) for edges in (False, True))
+    told = [text for text in without.warnings if "sharp edges, left out" in text]
+    share = abs(with_edges.amplitude_m[0] / without.amplitude_m[0] - 1)
+    assert f"up to {share:.2g} of" in told[0]
+    assert not any("left out" in text for text in with_edges.warnings)
+    ball = as_target(trimesh.creation.icosphere(5, radius=0.02))
+    assert not sweep(ball, CARRIER, [40.0]).warnings
