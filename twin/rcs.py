@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hardware.units import quantity
 from twin.files import InputError, whole_folder
 from twin.progress import Stages
+from twin.scene.importing import upright
 
 if TYPE_CHECKING:
     from twin.radar.cross_section import Sweep
@@ -29,7 +30,8 @@ class Request:
 
     ``polarization`` names what is sent, and what is received where that differs. ``permittivity``
     and ``thickness_m`` make the mesh of a dielectric: a sheet, or without a thickness a solid that
-    lets nothing through. ``tolerance`` is that of `twin.radar.cross_section.Quality`, None its own.
+    lets nothing through. ``up`` is the mesh's up axis, y or z, as of `import_model`. ``tolerance``
+    is that of `twin.radar.cross_section.Quality`, None its own.
     Raises InputError naming the option that is wrong.
     """
 
@@ -44,8 +46,10 @@ class Request:
     permittivity: str | None = None
     thickness_m: float | None = None
     tolerance: float | None = None
+    up: str | None = None
 
     def __post_init__(self) -> None:
+        upright(self.mesh, self.up)
         _within("carrier-hz", self.carrier_hz, 0, _HIGHEST_HZ, "Hz")
         _within("scale", self.scale, 0, np.inf, "metres per unit")
         if self.distance_m is not None:
@@ -149,7 +153,8 @@ def _load(request: Request, surface: "LayeredSurface") -> "MeshTarget":
 
     place = str(request.mesh)
     mesh = read_mesh(request.mesh).without_empty_faces(place)
-    scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]), place)
+    turn = upright(request.mesh, request.up)[1]
+    scaled = mesh.transformed(np.diag([request.scale] * 3 + [1.0]) @ turn, place)
     kept = scaled.without_empty_faces(place)
     try:
         return MeshTarget(kept, (surface,))

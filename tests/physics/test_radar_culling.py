@@ -20,6 +20,7 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.geometry.near_boxes import near_pairs
 from twin.radar.propagation import prepared_scene
 from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.scene import culling
@@ -65,7 +66,7 @@ def test_pairs_compared_grow_with_the_objects_not_with_their_square() -> None:
         low = rng.uniform(0, 10 * count**0.5, (count, 3)) * (1, 1, 0)
         boxes = np.stack([low, low + 10 ** rng.uniform(-1, 1, (count, 3))], axis=1)
         boxes[0] = [[0, 0, -1], [10 * count**0.5, 10 * count**0.5, 0]]  # the ground under all
-        compared.append(grouping.near_pairs(boxes)[1] / count)
+        compared.append(near_pairs(boxes)[1] / count)
     assert compared[2] < 1.5 * compared[0]
     assert compared[2] < 50
 

@@ -24,6 +24,7 @@ from tests.physics.radar_worlds import (
 )
 from twin.errors import InputError
 from twin.fidelity import DEFAULT, Fidelity
+from twin.geometry.near_boxes import near_pairs
 from twin.radar.propagation import physical_optics_solver, prepared_scene
 from twin.radar.propagation.diffraction import fringes
 from twin.radar.propagation.facets import (
@@ -33,7 +34,6 @@ from twin.radar.propagation.facets import (
     front_facets,
 )
 from twin.radar.propagation.facets.convergence import band_of, unconverged
-from twin.radar.propagation.meshes import grouping
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene import image_search
 from twin.radar.propagation.scene.culling import (
@@ -330,7 +330,7 @@ def test_cities_are_set_up_in_work_that_their_objects_bound(name: str, monkeypat
     scatterers = sum(role is ScatteringModel.OPTICS for role in set_up.roles)
     assert set_up.worth.sum() < 0.1 * scatterers * len(set_up.all_images)
     boxes = boxes_of(scene.objects)
-    assert grouping.near_pairs(boxes)[1] < 100 * len(boxes)
+    assert near_pairs(boxes)[1] < 100 * len(boxes)
     item = scene.objects[int(np.argmin((boxes[:, 1] - boxes[:, 0]).max(axis=1)))]
     moved = item.moved([0.3, 0.3, 0.3])
     again = replace(scene, objects=tuple(moved if o is item else o for o in scene.objects))

@@ -23,7 +23,7 @@ from tests.physics.rcs_targets import (
     trihedral,
 )
 from twin.geometry import Geometry
-from twin.radar.cross_section import physical_optics
+from twin.radar.cross_section import physical_optics, sweep
 from twin.radar.scattering import PEC, Layer, LayeredSurface, MeshTarget, Radar
 
 
@@ -239,3 +239,50 @@ def test_every_face_has_its_own_surface() -> None:
         found = physical_optics(target, Radar.at(0), CARRIER, sent).amplitude[port]
         metal = physical_optics(as_target(mesh), Radar.at(0), CARRIER, sent).amplitude[port]
         assert dbsm(found) - dbsm(metal) == pytest.approx(20 * math.log10(abs(r)), abs=0.1)
+
+
+def test_faces_in_one_plane_echo_once() -> None:
+    """A plate listed again with its other diagonal, or with a patch of itself upon it, is a plate:
+    it was 6 and 1.9 dB too much.
+    """
+    plate = np.array(rectangle(0.2, 0.1))
+    expected = 10 * math.log10(4 * np.pi * (0.02 / WAVELENGTH) ** 2)
+    again, part = plate[[1, 2, 3, 0]], 0.5 * plate + [0, 0.03, 0.01]
+    for upon in (again, part):
+        echo = physical_optics(as_target(polygons(plate, upon)), Radar.at(0, 0), CARRIER).amplitude
+        assert dbsm(echo)[0] == pytest.approx(expected, abs=0.02)
+
+
+def test_a_mesh_far_from_its_origin_has_the_same_far_field() -> None:
+    """A plate 10 km aside: a sphere about the origin of 5e7 plates took 5.6 dB of it. Its phase is
+    that of its place.
+    """
+    at = np.array([30.0, 1e4, -20.0])
+    radar = Radar.at(0.2, 0.0)
+    here, there = (
+        physical_optics(as_target(polygons(rectangle(0.2, 0.1) + off)), radar, CARRIER).amplitude[0]
+        for off in (np.zeros(3), at)
+    )
+    assert abs(there) == pytest.approx(abs(here), rel=1e-3)
+    turn = np.angle(there / here * np.exp(-2j * K * (at @ radar.direction)))
+    assert turn == pytest.approx(0, abs=0.01)
+
+
+@pytest.mark.parametrize(("sides", "coarse"), [(16, True), (32, True), (64, False)])
+def test_coarse_cylinders_are_warned_of(sides: int, coarse: bool) -> None:
+    """Of radius 40 mm: with 32 sides -2.4 to 1.0 dBsm, where the smooth one has -0.65."""
+    mesh = trimesh.creation.cylinder(0.04, 0.3, sections=sides)
+    told = sweep(as_target(mesh), CARRIER, [0.0]).warnings
+    assert any("finer mesh" in text for text in told) == coarse
+
+
+def test_edges_that_are_left_out_are_warned_of_where_they_count() -> None:
+    """Of a plate at 40 deg they are larger than the facets' echo; a ball has none."""
+    plate = as_target(polygons(rectangle(0.2, 0.2)))
+    without, with_edges = (sweep(plate, CARRIER, [40.0], edges=edges) for edges in (False, True))
+    told = [text for text in without.warnings if "sharp edges, left out" in text]
+    share = abs(with_edges.amplitude_m[0] / without.amplitude_m[0] - 1)
+    assert f"up to {share:.2g} of" in told[0]
+    assert not any("left out" in text for text in with_edges.warnings)
+    ball = as_target(trimesh.creation.icosphere(5, radius=0.02))
+    assert not sweep(ball, CARRIER, [40.0]).warnings

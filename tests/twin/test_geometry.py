@@ -15,6 +15,8 @@ from tests.physics.radar_worlds import ball, thing, world
 from twin.digest import digest
 from twin.errors import InputError
 from twin.geometry import Geometry, are_too_large, divided, planes, shapes_of
+from twin.geometry.coplanar import Facets, shared_by_two, shared_within
+from twin.geometry.covered import covered
 from twin.geometry.edges import doubles, edge_table
 from twin.radar.propagation.scene.mesh_scene import mesher
 from twin.radar.propagation.surface_clutter import field_of
@@ -293,3 +295,57 @@ def test_large_triangles_are_divided_and_keep_their_surface() -> None:
     assert uv is None
     assert not are_too_large(vertices, faces).any()
     assert Geometry(vertices, faces).areas_m2.sum() == pytest.approx(4e8)
+
+
+def facets_of(geometry: Geometry) -> Facets:
+    every = np.arange(len(geometry))
+    return Facets.of(geometry, geometry.vertices_m, every).known(geometry)
+
+
+def test_what_others_cover_of_triangles_is_marked_and_nothing_else() -> None:
+    """Random triangles in a tilted plane, against points of it: covered are those that any cover
+    holds. The surface itself stays what it was.
+    """
+    rng = np.random.default_rng(3)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    own, covers = (
+        turn.apply(np.column_stack([rng.uniform(0, 1, (3 * n, 2)), np.zeros(3 * n)]))
+        for n in (5, 12)
+    )
+    under, over = (Geometry(at, np.arange(len(at)).reshape(-1, 3)) for at in (own, covers))
+    shared = shared_by_two(facets_of(under), facets_of(over), 1e-9)
+    made, part_of = covered(under, shared.one, over.corners_m[shared.other])
+    np.testing.assert_allclose(
+        np.bincount(part_of, made.areas_m2, len(under)), under.areas_m2, rtol=1e-9
+    )
+    weights = rng.dirichlet(np.ones(3), 20_000)
+    for face in range(len(under)):
+        points = turn.inv().apply(weights @ under.corners_m[face])[:, :2]
+        inside = np.zeros(len(points), dtype=bool)
+        for corners in turn.inv().apply(covers)[:, :2].reshape(-1, 3, 2):
+            edge = np.roll(corners, -1, axis=0) - corners
+            off = points[:, None] - corners
+            side = edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0]
+            inside |= (side > 0).all(axis=1) | (side < 0).all(axis=1)
+        rows = (part_of == face) & made.shape.is_double
+        share = made.areas_m2[rows].sum() / under.areas_m2[face]
+        assert share == pytest.approx(inside.mean(), abs=0.015)  # four sigma of the points
+
+
+def test_a_mesh_that_lies_upon_itself_is_told_from_one_that_only_touches() -> None:
+    """The other diagonal of a square, and a patch apart in its plane; not neighbours in a plane,
+    two squares beside each other, or the inner walls of two closed boxes that touch.
+    """
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    halves, others = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
+    within = np.array(square) * 0.3 + [0.1, 0.4, 0]
+    for vertices, faces, pairs in (
+        (square, halves, 0),
+        (square, halves + others, 4),
+        (np.vstack([square, within]), halves + [[4, 5, 6], [4, 6, 7]], 2),
+        (np.vstack([square, np.add(square, [1, 0, 0])]), halves + [[4, 5, 6], [4, 6, 7]], 0),
+    ):
+        assert len(shared_within(Geometry(vertices, faces), 1e-6)[1].one) == pairs
+    one, other = cube(), cube((2.0, 0.5, 0.0))
+    assert not len(shared_by_two(facets_of(one), facets_of(other), 1e-6).one)
+    assert len(shared_by_two(facets_of(one), facets_of(cube((0.5, 1.0, 0.0))), 1e-6).one) > 0

@@ -213,3 +213,24 @@ def test_ctrl_c_leaves_nothing_behind(plate: Path) -> None:
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 130, errors
     assert [p.name for p in plate.parent.iterdir()] == ["plate.ply"]
+
+
+def test_the_up_axis_is_that_of_import(tmp_path: Path, monkeypatch, capsys) -> None:
+    """A plate in glTF's axes is the same plate in a scene's: its broadside is at azimuth 0, as in
+    the closed form. With z up it lies flat, and shows its edge.
+    """
+    corners = np.array([[-0.1, -0.05, 0], [0.1, -0.05, 0], [0.1, 0.05, 0], [-0.1, 0.05, 0]])
+    path = tmp_path / "plate.glb"
+    trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(path)
+    broadside = 10 * math.log10(4 * np.pi * (0.02 * 79e9 / speed_of_light) ** 2)
+    asked = str(path), "--carrier-hz", "79e9", "--azimuth", "0"
+    code, printed, errors = twin(*asked, monkeypatch=monkeypatch, capsys=capsys)
+    assert code == 0
+    assert float(printed.splitlines()[1].split(",")[2]) == pytest.approx(broadside, abs=0.05)
+    assert "y is up" in errors
+    _, printed, errors = twin(*asked, "--up", "z", monkeypatch=monkeypatch, capsys=capsys)
+    assert float(printed.splitlines()[1].split(",")[2]) < broadside - 60
+    assert "is up" not in errors
+    code, _, errors = twin(*asked, "--up", "x", monkeypatch=monkeypatch, capsys=capsys)
+    assert code == 2
+    assert "up: 'x': expected y or z" in errors

@@ -537,3 +537,31 @@ def test_the_radar_warns_of_unknown_materials_where_their_meshes_answer(tmp_path
     assert told not in warnings("unobtainium", "targets")  # which leaves meshes out
     for known in ("generic", "metal"):
         assert not any("radio properties" in text for text in warnings(known, "optics"))
+
+
+def test_unlike_surfaces_in_one_plane_are_named(tmp_path: Path) -> None:
+    """Of two rectangles in one plane the camera sees the last one of the file, without a word it
+    was; a millimetre apart they are two, and what is alike makes no difference. A box that stands
+    on a floor shows no such faces.
+    """
+    square = (
+        '<shape type="{kind}" id="{id}"><transform name="to_world"><scale x="2" y="2"/>'
+        '<rotate y="1" angle="-90"/><translate x="{x}"/></transform>'
+        '<bsdf type="diffuse"><spectrum name="reflectance" value="{r}"/></bsdf></shape>'
+    )
+    (tmp_path / "scene.toml").write_text(TOML)
+
+    def told(*shapes: tuple[str, str, float, float]) -> str:
+        text = "".join(square.format(kind=k, id=i, x=x, r=r) for k, i, x, r in shapes)
+        (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{text}</scene>')
+        return " ".join(w for w in load_scene(tmp_path).warnings if "in one plane" in w)
+
+    dark, light = ("rectangle", "dark", 5.0, 0.2), ("rectangle", "light", 5.0, 0.8)
+    for pair in ((dark, light), (light, dark)):
+        assert "dark" in told(*pair)
+        assert "light" in told(*pair)
+        assert "reflectance 0.8" in told(*pair)
+    assert told(dark, ("rectangle", "light", 5.001, 0.8)) == ""
+    assert told(dark, ("rectangle", "same", 5.0, 0.2)) == ""
+    assert told(dark, ("cube", "box", 4.0, 0.8)) == ""  # its back
+    assert "box" in told(dark, ("cube", "box", 6.0, 0.8))  # its front

@@ -188,6 +188,9 @@ def rcs(
             parser=quantity_of(None),
         ),
     ] = None,
+    up: Annotated[
+        str | None, typer.Option(help="The mesh's up axis, y or z; default y for glTF, else z.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="CSV to write, with a PNG beside; default: print it.")
     ] = None,
@@ -198,6 +201,7 @@ def rcs(
     is near; what they light of each other by rays that are as close as the tolerance asks for.
     """
     from twin.rcs import COLUMNS, Request, csv_lines, rows, run
+    from twin.scene.importing import upright
 
     result = run(
         Request(
@@ -212,12 +216,16 @@ def rcs(
             permittivity,
             thickness,
             tolerance,
+            up,
         ),
         out,
     )
     for warning in result.warnings:
         say.warn(warning)
-    say.add(rows=[dict(zip(COLUMNS, row, strict=True)) for row in rows(result)])
+    axis = upright(mesh, up)[0]
+    if axis == "y":  # not on stdout, where the table may be
+        say.warn("y is up: the mesh's +y became z and its +z became x; --up z leaves it")
+    say.add(up=axis, rows=[dict(zip(COLUMNS, row, strict=True)) for row in rows(result)])
     if out is None:
         say.verdict("\n".join(csv_lines(result)))
     else:

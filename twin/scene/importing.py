@@ -66,8 +66,8 @@ def import_model(
     _check(model, folder, scale, up, material)
     apart = {"split_objects": True} if model.suffix.lower() == ".obj" else {}
     loaded = load_quietly(model, functools.partial(trimesh.load_scene, **apart))
-    axis = up or _UP.get(model.suffix.lower(), "z")
-    place = np.diag([scale, scale, scale, 1.0]) @ (_Z_UP_FROM_Y if axis == "y" else np.eye(4))
+    axis, turn = upright(model, up)
+    place = np.diag([scale, scale, scale, 1.0]) @ turn
     table, _ = materials_of(folder)
     materials = ImportedBsdfs(table, material, texture_as_reflectance)
     parts, notes = _parts(loaded, model, place, materials)
@@ -100,6 +100,16 @@ def import_model(
     return notes
 
 
+def upright(model: Path, up: str | None) -> tuple[str, Array]:
+    """The up axis of a model, ``y`` or ``z``, by default that of its format, and the 4x4 matrix
+    that turns it to z, and with y up the model's +z to x. Raises InputError on another axis.
+    """
+    if up not in (None, "y", "z"):
+        raise InputError(f"up: {up!r}: expected y or z")
+    axis = up or _UP.get(model.suffix.lower(), "z")
+    return axis, _Z_UP_FROM_Y if axis == "y" else np.eye(4)
+
+
 def _check(model: Path, folder: Path, scale: float, up: str | None, material: str) -> None:
     if model.is_dir():
         raise InputError(f"{model}: a folder, expected a mesh file")
@@ -110,8 +120,7 @@ def _check(model: Path, folder: Path, scale: float, up: str | None, material: st
             raise InputError(f"{folder / name}: exists already, expected a new scene folder")
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"scale: {scale}: expected metres per unit, above 0")
-    if up not in (None, "y", "z"):
-        raise InputError(f"up: {up!r}: expected y or z")
+    upright(model, up)
     table, _ = materials_of(folder)
     if material not in table:
         raise InputError(

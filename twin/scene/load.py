@@ -11,6 +11,7 @@ from twin.errors import check_kind
 from twin.files import InputError, scenes_folder
 from twin.geometry import Geometry
 from twin.scene import xml
+from twin.scene.coplanar import coplanar
 from twin.scene.defaults import default_pose, default_sun
 from twin.scene.enclosure import encloses
 from twin.scene.limits import FARTHEST_M, FARTHEST_ORIGIN_M
@@ -91,6 +92,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
     inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")
+    warnings += coplanar(objects, rig.position_m)
     sun = settings.make_sun() if settings else None
     standing_for_sun = () if sun is None else ("directional",)  # in stock Mitsuba
     if sun is None:

@@ -36,8 +36,8 @@ from twin.transfer import aligned
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-#: Sizes of a mesh from which a wave counts as plane: its phase is off by k D / 2e8 at the rim, and
-#: by as much from rounding.
+#: Sizes of a mesh from which a wave counts as plane, from its middle on: its phase is off by
+#: k D / 2e8 at the rim, and by as much from rounding.
 _FAR = 5e7
 _FAINT = 1e-3  # of the facets' echoes out of phase: what no error is counted below
 _ALIKE = 0.25  # of the tolerance near by: what bent phases leave of a facet's parts is alike, not
@@ -92,7 +92,8 @@ def _radars(
     subject: Subject,
     target: MeshTarget,
     aspects: Aspects,
-    distance_m: Array,
+    receiver_m: Array,
+    source_m: Array,
     wavelength_m: float,
     material_hz: float,
 ) -> _Radars:
@@ -108,7 +109,8 @@ def _radars(
     fields += [(sent.sum(axis=0) / np.sqrt(len(sent)), zero)] + [(field, zero) for field in sent]
     here = [aspects.receiver] * _ALL_SENT + [aspects.source] * (1 + len(sent))
     antennas = [np.hstack([at, *field]) for at, field in zip(here, fields, strict=True)]
-    places = [at * distance_m[:, None] - subject.anchor_m for at in here]
+    at_m = [receiver_m] * _ALL_SENT + [source_m] * (1 + len(sent))
+    places = [at - subject.anchor_m for at in at_m]
     count = len(here) * len(aspects)
     return _Radars(
         mi=mi,
@@ -163,12 +165,20 @@ def direct(
         The frequency at which surfaces reflect.
     """
     subject, (n, m) = subject_of(target), aspects.sent.shape[:2]
-    distance = np.minimum(aspects.distance_m, _FAR * 2 * target.geometry.sphere[1])
+    center, radius = target.geometry.sphere
+    is_far = aspects.distance_m > _FAR * 2 * radius
+    distance = np.minimum(aspects.distance_m, _FAR * 2 * radius)
+    middle = np.where(is_far[:, None], center, 0.0)
+    source, receiver = (
+        at * distance[:, None] + middle for at in (aspects.source, aspects.receiver)
+    )
+    # Of waves that are plane at the mesh, how much shorter their way is than by the origin.
+    ahead = np.sum(middle * (aspects.source + aspects.receiver), axis=1)
     wave_numbers = 2 * np.pi * frequency_hz / speed_of_light
     k = float(wave_numbers.max())
-    context = _radars(subject, target, aspects, distance, 2 * np.pi / k, material_hz)
+    context = _radars(subject, target, aspects, receiver, source, 2 * np.pi / k, material_hz)
     scatterers = _scatterers(context, subject)
-    aspect, face, side = _facing(subject, aspects, distance)
+    aspect, face, side = _facing(subject, aspects, source, receiver)
     first = (_FIRST_SENT + m) * aspect
     amplitude = np.zeros((n, len(frequency_hz), m, 2), dtype=np.complex128)
     if not len(face):
@@ -177,20 +187,23 @@ def direct(
     lit = replace(lit, body=aspect)
     is_open = subject.is_open[(side < 0).astype(np.intp), face]
     if not is_open.all() and n * len(subject.world.faces) ** 2 <= _MOST_PAIRS:
-        is_bare = bare(subject, aspects.source * distance[:, None])[aspect, face]
+        is_bare = bare(subject, source)[aspect, face]
         if not aspects.are_monostatic.all():
-            is_bare &= bare(subject, aspects.receiver * distance[:, None])[aspect, face]
+            is_bare &= bare(subject, receiver)[aspect, face]
         is_open |= is_bare
     # A wave of amplitude 1 at the origin, less the phase to it and back.
     both = later.sum(axis=1) / np.sqrt(m) @ np.array([1, 1j]) * np.sqrt(0.5)
-    further = both * np.exp(-2j * (k * distance % np.pi)) / (2 * k * distance**2)
+    further = both * np.exp(-1j * (k * (2 * distance + ahead) % (2 * np.pi)))
+    further = further / (2 * k * distance**2)
     if np.isfinite(aspects.distance_m).any():
         tolerance *= _ALIKE
     leaves, weight = _leaves(context, scatterers, lit, is_open, k, tolerance, further)
     for part in leaves:
         for row, other in enumerate(wave_numbers.tolist()):
-            amplitude[:, row] += _answers(context, scatterers, part, other, other == k, distance, m)
-    return Direct(amplitude, _grazing(subject, aspects, distance, aspect, face, weight))
+            amplitude[:, row] += _answers(
+                context, scatterers, part, other, other == k, distance, ahead, m
+            )
+    return Direct(amplitude, _grazing(subject, source, distance, aspect, face, weight))
 
 
 def _answers(
@@ -200,6 +213,7 @@ def _answers(
     wave_number: float,
     is_divided_for: bool,
     distance_m: Array,
+    ahead_m: Array,
     sent: int,
 ) -> Complex:
     """Amplitudes (n, m, 2) of triangles at a frequency, in metres."""
@@ -207,7 +221,7 @@ def _answers(
     at = replace(context, wavelength=dr.opaque(context.mi.Float64, 2 * np.pi / wave_number))
     echoes = leaves.echoes if is_divided_for else echoes_of(at, scatterers, leaves.triangles)
     # A wave of amplitude 1 at the origin, less the phase to it and back.
-    path = wave_number * (echoes.length_m - 2 * distance_m[body]) % (2 * np.pi)
+    path = wave_number * (echoes.length_m - (2 * distance_m + ahead_m)[body]) % (2 * np.pi)
     wave = 2 * wave_number * distance_m[body] ** 2 * leaves.weight * echoes.mean
     wave = wave * np.exp(-1j * path)
     first = leaves.triangles.source - _ALL_SENT
@@ -266,7 +280,7 @@ def _leaves(
 
 
 def _facing(
-    subject: Subject, aspects: Aspects, distance_m: Array
+    subject: Subject, aspects: Aspects, source_m: Array, receiver_m: Array
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Facets the same side of which transmitter and receiver see, closed meshes from outside: the
     aspect, the facet, and the side, 1 where its normal points to.
@@ -275,10 +289,10 @@ def _facing(
     level = np.sum(point * normal, axis=1)
     counts = ~subject.shape.is_double & normal.any(axis=1)
     sides = []
-    for direction in (aspects.source, aspects.receiver):
-        place = direction * distance_m[:, None] - subject.anchor_m
+    for at in (source_m, receiver_m):
+        place = at - subject.anchor_m
         height = place @ normal.T - level
-        edge_on = np.abs(height) < _EDGE_ON * distance_m[:, None]
+        edge_on = np.abs(height) < _EDGE_ON * np.linalg.norm(place, axis=1, keepdims=True)
         sides.append(np.where(edge_on, 0.0, np.sign(height)))
         if aspects.are_monostatic.all():
             break
@@ -310,7 +324,7 @@ def _scatterers(context: TracingContext, subject: Subject) -> Scatterers:
 
 def _grazing(
     subject: Subject,
-    aspects: Aspects,
+    source_m: Array,
     distance_m: Array,
     aspect: NDArray[np.intp],
     face: NDArray[np.intp],
@@ -319,13 +333,13 @@ def _grazing(
     corners = subject.world.vertices[subject.world.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2
-    place = aspects.source * distance_m[:, None] - subject.anchor_m
+    place = source_m - subject.anchor_m
     towards = place[aspect] - corners.mean(axis=1)[face]
     length = np.linalg.norm(towards, axis=1)
     normal = subject.world.plane_table[:, 3:]
     cosine = np.abs(np.sum(towards * normal[face], axis=1)) / length
     lit = weight * area[face] * cosine * (distance_m[aspect] / length) ** 2
-    whole = np.bincount(aspect, lit, len(aspects))
-    grazing = np.bincount(aspect, np.where(cosine < _GRAZING, lit, 0.0), len(aspects))
+    whole = np.bincount(aspect, lit, len(source_m))
+    grazing = np.bincount(aspect, np.where(cosine < _GRAZING, lit, 0.0), len(source_m))
     share: Array = grazing / np.maximum(whole, 1e-300)
     return share

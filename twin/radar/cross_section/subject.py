@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from twin.geometry import Geometry, Shape
 from twin.radar.cross_section.aspects import Aspects
 from twin.radar.propagation.scene.mesh_scene import MeshScene
+from twin.radar.propagation.scene.overlaps import divided_at, own_covers, tolerances_m
 from twin.radar.scattering.target import MeshTarget
 from twin.scene import SceneObject
 
@@ -55,19 +56,23 @@ def _subject(target: MeshTarget) -> Subject:
     center, radius = target.geometry.sphere
     # Beside the mesh: rays start off a surface by a share of the distance from the anchor.
     anchor = center - radius
-    vertices, faces = target.geometry.vertices_m, target.geometry.faces
     kind = target.surface_of_face
-    kinds = np.zeros(len(faces), dtype=np.intp) if kind is None else np.asarray(kind)
+    kinds = np.zeros(len(target.geometry), dtype=np.intp) if kind is None else np.asarray(kind)
     used = np.unique(kinds)
-    parts = [target.geometry]
+    whole = target.geometry
+    if len(used) > 1:  # in the order of the world's facets
+        order = np.argsort(kinds, kind="stable")
+        whole, kinds = Geometry(whole.vertices_m, whole.faces[order]), kinds[order]
+    tolerance = float(tolerances_m(np.array(float(np.linalg.norm(np.full(3, 2 * radius))))))
+    if covers := own_covers(whole, tolerance, None):
+        whole, part_of = divided_at(whole, covers)
+        kinds = kinds[part_of]
+    parts = [whole]
     if len(used) > 1:
-        parts = [Geometry(vertices, faces[kinds == number]) for number in used]
+        parts = [Geometry(whole.vertices_m, whole.faces[kinds == number]) for number in used]
     items = [SceneObject("target", part, "", 0.0) for part in parts]
     world = MeshScene(items)
     world.place(items, anchor)
-    whole = target.geometry
-    if len(used) > 1:  # in the order of the world's facets
-        whole = Geometry(vertices, np.concatenate([part.faces for part in parts]))
     shape = whole.shape
     return Subject(
         world, anchor, shape, used.astype(np.uint32), _open(world, shape, _ROUNDED * radius)

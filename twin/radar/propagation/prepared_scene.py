@@ -30,6 +30,7 @@ from twin.radar.propagation.scene.image_search import Sight, closed, images
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene, anchor_of, flats, mesher
+from twin.radar.propagation.scene.overlaps import echoing_once
 from twin.radar.propagation.scene.scattering_models import (
     LARGE_BESIDE_OPTICS,
     Assignment,
@@ -50,7 +51,7 @@ class PreparedScene:
     """The scene prepared for one pose: objects for rays, mirrors, images, and the tracing context.
 
     Vectors are relative to ``anchor_m``; ``axes`` are the antenna's in the world. ``originals`` are
-    the objects as the scene has them, their large triangles undivided. ``images`` are those of
+    the objects as the scene has them, undivided. ``images`` are those of
     ``all_images`` over which there is any echo; ``has_more_images``: whether there are others of
     more reflections, too many to look for; ``worth`` (n_images, n_objects): whether paths
     between an image and an object that scatters are traced; ``motions`` are those of objects, by
@@ -153,7 +154,9 @@ def prepare_scene(
     surfaces, surface_of_object, assumed = _surfaces(
         scene, [*solid, *clear], role_of, carrier, rough
     )
-    mi, world, place = mitsuba(), mesher(solid, anchor), place_m - anchor
+    scatters = [role_of[item.name] is ScatteringModel.OPTICS for item in solid]
+    once, remarks = echoing_once(solid, scatters, anchor, place_m)
+    mi, world, place = mitsuba(), mesher(once, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
     mirrors, patch_of_face = flats(world, _zones(solid, role_of, place_m, wavelength))
     items, through = [item for item in world.items if item], None
@@ -165,6 +168,7 @@ def prepare_scene(
         mirrors = mirrors.and_walls(more, len(solid))
         items += [item for item in mesh.items if item]
     sight = Sight(mi, world, mi.UInt32(patch_of_face), through)
+    assumed += tuple(remarks)
     limit, beam = _limit(radar), beam_of(radar.antenna)
     # Half of what may be left out is for images, half for paths to objects.
     found = images(sight, mirrors, place, axes[0], beam, order, limit / 2, many)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from twin.radar.propagation.meshes.grouping import bodies_of, near_pairs
+from twin.geometry.near_boxes import near_pairs
+from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.scene import SceneObject

@@ -2,7 +2,7 @@
 tubes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -86,8 +86,18 @@ def setting_of(
             flats.normal,
             flats.box,
             *through,
+            *_divided(prepared),
         ),
     )
+
+
+def _divided(prepared: PreparedScene) -> Iterator[NDArray[Any]]:
+    """Which objects' faces are divided, and where: facets have other numbers where that changes."""
+    for number, (item, original) in enumerate(zip(prepared.items, prepared.originals, strict=True)):
+        if item.geometry is not original.geometry:
+            yield np.array([number])
+            yield item.geometry.vertices_m
+            yield item.geometry.shape.is_double
 
 
 @dataclass(frozen=True, eq=False)
