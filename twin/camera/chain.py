@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter
 from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
+from twin.camera.filtered import share_of_cells, sun_of_parts
 from twin.camera.illumination import (
     amplifier_keeps,
     amplifier_residue,
@@ -135,14 +136,14 @@ class Chain:
         collected = self.lens.transmission * self.lens.pupil_area_m2
         return np.asarray(intensity * collected * passed * self.gains)
 
-    def passed(self, cell_angle_deg: Array) -> Array:
+    def passed(self, rendered: "RenderedLight") -> Array:
         """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
-        return _by_detector(self.sky.emitter_at(cell_angle_deg), self.system)
+        return _by_detector(share_of_cells(rendered, self.sky), self.system)
 
     def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
         system = self.system
-        passed = self.passed(rendered.cell_angles_deg())
+        passed = self.passed(rendered)
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
         watt = self.watts(passed)
@@ -179,8 +180,7 @@ class Chain:
         if not optics.is_scanned:
             return None
         side = optics.receiver_cells.value if optics.receiver_cells else 1
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        parts = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
+        parts = self.sun_weight(rendered) * rendered.sun
         seen = side**2 * uniform_filter(parts, side, mode="nearest")
         return np.asarray(seen[rendered.cell_parts()].ravel())
 
@@ -189,14 +189,12 @@ class Chain:
         followed = self._sun_of_cells(rendered)
         if followed is not None:
             return followed.mean(keepdims=True)
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
-        return self._of_detectors(sun)
+        return self._of_detectors(self.sun_weight(rendered) * rendered.sun)
 
     def sun_weight(self, rendered: "RenderedLight") -> Array:
         """That power per unit of each part of `RenderedLight.sun`."""
         collected = self.lens.transmission * self.lens.pupil_area_m2
-        return np.asarray(collected * self.sky.sun_at(rendered.part_angles_deg()))
+        return collected * sun_of_parts(rendered, self.sky)
 
     def _sun_error(self, rendered: "RenderedLight") -> Array:
         """Standard error of that power, (n_detectors,)."""
