@@ -52,7 +52,8 @@ class RangeImage(Described):
     patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
-    no gate is open. A detector most of whose exposures are saturated is not confident of anything.
+    no gate is open. An echo that comes back after the next pulse looks nearer too, by what light
+    travels between two pulses; a record does not state their rate. A detector most of whose exposures are saturated is not confident of anything.
     The same of a cell of a raster scan by its own exposures, except behind gates: an echo that the
     rail cuts off came back while the gate was open, and its error is that.
     ``warnings``: what makes distances less sure than they could be.

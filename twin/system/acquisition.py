@@ -100,7 +100,9 @@ class TimeOfFlight(Strict):
     pulse_width_s: Sourced[Positive] | None = None
     """Gated: length of a pulse; the radiant intensity is that of the pulse."""
     pulse_rate_hz: Sourced[Positive] | None = None
-    """Gated: pulses per second."""
+    """Gated: pulses per second. Echoes that come back after the next pulse look nearer, by half the
+    way of light from one pulse to the next.
+    """
     gate_width_s: Sourced[Positive] | None = None
     """Gated: for how long the detector is open after each pulse."""
     gate_delays_s: Sourced[Annotated[tuple[NonNegative, ...], Field(min_length=1)]] | None = None
