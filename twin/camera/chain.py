@@ -14,12 +14,13 @@ from twin import __version__
 from twin.camera.filtered import share_of_cells, sun_of_parts
 from twin.camera.illumination import (
     amplifier_keeps,
+    amplifier_lag,
     amplifier_residue,
+    fading,
     frame_signal,
     mean_signal,
     residual_share,
     settled,
-    switched_residue,
 )
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
@@ -242,7 +243,7 @@ class Chain:
         fluctuating = None if noise == "none" else rng
         signal_w = frame_signal(self.system, power.cells_w, rng=fluctuating, mean_w=mean_w)
         sun_w = power.sun_by_exposure(self.patterns) if sun_w is None else sun_w
-        settled_w = self.amplifier_output(self.exposure_power(signal_w, sun_w), power.sun_w)
+        settled_w = self.amplifier_output(signal_w, sun_w, power.sun_w)
         counts, flags = checked_exposure(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 
@@ -253,19 +254,20 @@ class Chain:
         power_w = signal_w + self.open_share[:, None] * sun_w
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
-    def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
-        """These powers behind the amplifier, whose pole carries a share of each into later ones."""
-        alone = amplifier_residue(self.system)
+    def amplifier_output(self, signal_w: Array, sun_w: Array, before_w: Array) -> Array:
+        """`exposure_power` behind the amplifier, whose pole carries a share of each into later
+        ones, and follows light that fades within an exposure; ``before_w``: sun before the frame.
+        """
+        exposed_w, alone = self.exposure_power(signal_w, sun_w), amplifier_residue(self.system)
         if not alone:
             return exposed_w
-        # The light has left its own share in the first exposure of a pattern already.
-        left_over, of_light = np.full((len(exposed_w), 1), alone), residual_share(self.system)
-        both = switched_residue(self.system)
-        left_over[:: len(self.shutters)] = (both - of_light) / (1 - of_light)
-        dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
-        output = settled(exposed_w, amplifier_keeps(self.system), dark_w)
-        before = np.concatenate([dark_w[None], output[:-1]])
-        return exposed_w + left_over * (before - exposed_w)
+        lasting_w = fading(self.system, signal_w).reshape(exposed_w.shape)
+        level_w = exposed_w - residual_share(self.system) * lasting_w
+        in_mean, at_end = amplifier_lag(self.system)
+        dark_w = self.open_share[-1] * before_w  # before the frame no cell is lit
+        ends = settled(level_w + at_end * lasting_w, amplifier_keeps(self.system), dark_w)
+        before = np.concatenate([dark_w[None], ends[:-1]])
+        return level_w + alone * (before - level_w) + in_mean * lasting_w
 
     def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
         """Budget at the mean of exposures."""
