@@ -185,7 +185,8 @@ def reconstruct(
     else:
         cells, error = _solved(solve, measured.values, variance, sensing)
         if error is not None and (most > variance).any():
-            error = _solved(solve, measured.values, most, sensing)[1]
+            of_most = _solved(solve, measured.values, most, sensing)[1]
+            error = _of_unsmoothed(error, of_most, measured, sensing)
     if error is not None:
         error = np.hypot(error, _error_of_the_constant(most, sensing))
     if not sensing.measures_level and error is not None:
@@ -223,6 +224,20 @@ def _solved(
     errors = [error for _, error in solved if error is not None]
     cells = np.stack([cells for cells, _ in solved], axis=1)
     return cells, np.stack(errors, axis=1) if errors else None
+
+
+def _of_unsmoothed(
+    error: Array, of_most: Array | None, measured: Measurements, sensing: Sensing
+) -> Array | None:
+    """Standard errors for the most noise there can be, ``(n_cells, n_detectors)``: those of an
+    image that is smoothed for it, ``of_most``; where a full set does not tell noise from detail,
+    its image is not smoothed, and has all of that noise.
+    """
+    if of_most is None or sensing.count < sensing.n_cells:
+        return of_most
+    least = np.maximum(measured.noise_variance, np.finfo(float).tiny)
+    grown = error * np.sqrt(measured.most_noise_variance / least)
+    return np.where(measured.noise_told, of_most, np.fmax(of_most, grown))
 
 
 def _compensated(

@@ -36,6 +36,7 @@ ECHO_CUT = (
     "cells of which an exposure is saturated: distances hold to the reach of a gate only, "
     "amplitudes are lower bounds"
 )
+PHASES_CUT = "cells of which an exposure is saturated: what is left of their phases is no distance"
 PULSE_UNKNOWN = (
     "pulse_width_s is not stated: distances from gates hold to half a gate only, for any pulse "
     "up to the gate's length"
@@ -52,9 +53,12 @@ class RangeImage(Described):
     patterns do not measure have NaN for both.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
-    no gate is open. A detector most of whose exposures are saturated is not confident of anything.
-    The same of a cell of a raster scan by its own exposures, except behind gates: an echo that the
-    rail cuts off came back while the gate was open, and its error is that.
+    no gate is open. An echo that comes back after the next pulse looks nearer too, by what light
+    travels between two pulses; a record does not state their rate.
+    A detector most of whose exposures are saturated is not confident of anything.
+    A saturated exposure cuts off light of its cells, of one of a raster scan or of all of a
+    pattern: phases tell nothing then; an echo that the rail cuts off came back while the gate was
+    open, and its error is that.
     ``warnings``: what makes distances less sure than they could be.
     """
 
@@ -101,15 +105,16 @@ def range_image(
     images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
     ranges = distances(record, images, errors, solve.name)
     level = tuple(warning for warning in by_shutter[0].warnings if warning == LEVEL_UNKNOWN)
-    blind = _blind(record)
-    unknown = blind[:, None, None] | unsure
-    return replace(
+    saturated: NDArray[np.bool_] = np.any(_saturated(record), axis=0)
+    saturated = saturated[:, None, None] & np.ones_like(measured)
+    ranges = replace(
         ranges,
         amplitude=np.where(measured, ranges.amplitude, np.nan),
-        standard_error_m=np.where(unknown, np.inf, ranges.standard_error_m),
-        confidence=np.where(unknown, 0.0, ranges.confidence),
-        warnings=(*ranges.warnings, *level, *((AT_RAIL,) if blind.any() else ())),
+        standard_error_m=np.where(unsure, np.inf, ranges.standard_error_m),
+        confidence=np.where(unsure, 0.0, ranges.confidence),
+        warnings=(*ranges.warnings, *level),
     )
+    return _without_the_saturated(ranges, record, saturated)
 
 
 def _of_scan(record: SpiRecord) -> RangeImage:
@@ -118,32 +123,69 @@ def _of_scan(record: SpiRecord) -> RangeImage:
     images, errors = (part.reshape(shape) for part in images_by_shutter(record))
     ranges = distances(record, np.nan_to_num(images), np.nan_to_num(errors, nan=1.0), "scan")
     unlit = record.patterns.unmeasured_cells.reshape(shape[2:])
-    blind = _blind(record)[:, None, None] | unlit
-    cut = _saturated_cells(record).reshape(shape[1:]) & ~blind
-    if all(one.modulated for one in record.shutters):
-        blind = blind | cut  # what is left of the phases has another phase
-    error = np.where(
-        cut, np.hypot(ranges.standard_error_m, _reach_m(record)), ranges.standard_error_m
-    )
-    said = [(AT_RAIL, _blind(record)), (ECHO_CUT, cut & ~blind)]
-    return replace(
+    ranges = replace(
         ranges,
         amplitude=np.where(unlit, np.nan, ranges.amplitude),
         distance_m=np.where(unlit, np.nan, ranges.distance_m),
-        standard_error_m=np.where(blind, np.inf, error),
-        confidence=np.where(blind, 0.0, ranges.confidence),
-        warnings=(*ranges.warnings, *(warning for warning, where in said if where.any())),
+        standard_error_m=np.where(unlit, np.inf, ranges.standard_error_m),
+        confidence=np.where(unlit, 0.0, ranges.confidence),
     )
+    return _without_the_saturated(ranges, record, _saturated_cells(record).reshape(shape[1:]))
+
+
+def _without_the_saturated(
+    ranges: RangeImage, record: SpiRecord, saturated: NDArray[np.bool_]
+) -> RangeImage:
+    """What is left of distances where cells (n_detectors, rows, columns) are ``saturated``."""
+    blind = _blind(record)[:, None, None] & np.ones_like(saturated)
+    cut, told = saturated & ~blind & np.isfinite(ranges.standard_error_m), ECHO_CUT
+    error = ranges.standard_error_m
+    unknown = blind
+    if all(one.modulated for one in record.shutters):
+        told, unknown = PHASES_CUT, blind | cut  # what is left of the phases has another phase
+    else:
+        cut &= _in_saturated_gates(record, ranges.distance_m)
+        error = np.where(cut, np.hypot(error, _reach_m(record)), error)
+    said = [warning for warning, where in ((AT_RAIL, blind), (told, cut)) if where.any()]
+    return replace(
+        ranges,
+        standard_error_m=np.where(unknown, np.inf, error),
+        confidence=np.where(unknown, 0.0, ranges.confidence),
+        warnings=(*ranges.warnings, *said),
+    )
+
+
+def _in_saturated_gates(record: SpiRecord, distance_m: Array) -> NDArray[np.bool_]:
+    """Cells whose echo, as it is or a pulse earlier or later, falls in a gate of which an exposure
+    of their detector is saturated.
+    """
+    begins = 2 * distance_m / C_M_PER_S
+    found = np.zeros(distance_m.shape, np.bool_)
+    by_gate = _saturated(record).reshape(-1, len(record.shutters), len(distance_m))
+    saturated: NDArray[np.bool_] = np.any(by_gate, axis=0)
+    for gate, cut in zip(record.shutters, saturated, strict=True):
+        # A pulse of unknown length is at most as long as the gate.
+        pulse = record.pulse_width_s or gate.gate_width_s
+        early, late = gate.gate_delay_s - 2 * pulse, gate.gate_delay_s + gate.gate_width_s + pulse
+        found |= cut[:, None, None] & (early <= begins) & (begins <= late)
+    return found
 
 
 def _saturated_cells(record: SpiRecord) -> NDArray[np.bool_]:
     """Cells (n_detectors, n_cells) of a raster scan of which an exposure is saturated."""
     scan = record.patterns
     assert isinstance(scan, RasterScan)
-    saturated = _marked(record, record.counts == 2**record.adc_bits - 1)
+    saturated = _saturated(record)
     cells = np.zeros((saturated.shape[1], scan.n_cells), np.bool_)
     cells[:, scan.cells] = saturated.reshape(scan.count, -1, saturated.shape[1]).any(axis=1).T
     return cells
+
+
+def _saturated(record: SpiRecord) -> NDArray[np.bool_]:
+    """Exposures (n, n_detectors) that stand at the converter's top or are marked so."""
+    lost = (record.flags & Flag.LOST) != 0
+    at_top = _marked(record, record.counts == 2**record.adc_bits - 1)
+    return np.asarray(at_top & ~lost[:, None])
 
 
 def _reach_m(record: SpiRecord) -> float:

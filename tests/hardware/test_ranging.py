@@ -12,7 +12,7 @@ from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, range_image
 from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.gating import echo
-from hardware.reconstruction.ranging import AT_RAIL, PULSE_UNKNOWN
+from hardware.reconstruction.ranging import AT_RAIL, ECHO_CUT, PHASES_CUT, PULSE_UNKNOWN
 from hardware.records import Flag, QuaternionPose, Shutter
 
 TWO = (10e6, 13e6)
@@ -223,6 +223,47 @@ def test_a_saturated_record_tells_no_distance(frequencies: list[float]) -> None:
     assert found.warnings == (AT_RAIL,)
     marked = replace(record, flags=np.full_like(record.flags, Flag.SATURATED))
     assert not range_image(marked, "zero-fill").confidence.any()
+
+
+@pytest.mark.parametrize("rail", [0.97, 0.6, 0.45, 0.3])
+def test_patterns_whose_gates_are_cut_claim_no_more_than_the_gate(rail: float) -> None:
+    """Gates of 20 ns, a converter that ends at these parts of the largest count: one exposure is
+    cut at 0.97, most of two gates at 0.3. The wall's echoes fall there, the box's do not. The wall
+    had been off by 0.05 to 1.2 m in cells sure of less than that.
+    """
+    _, distance = scene()
+    width = 20e-9
+    record = gated(np.arange(15) * width, width, width)
+    counts = np.minimum(record.counts, int(rail * record.counts.max()))
+    is_cut = (counts < record.counts).any(axis=1)
+    cut = replace(record, counts=counts, flags=np.where(is_cut, Flag.SATURATED, 0).astype(np.uint8))
+    found = range_image(cut, "zero-fill")
+    assert found.warnings == (ECHO_CUT,)
+    error, stated = np.abs(found.distance_m[0] - distance), found.standard_error_m[0]
+    wall = distance > 25
+    sure = found.confidence[0] > 0.95
+    assert error[wall & sure].max() > 0.04
+    assert (error[sure] < 2 * stated[sure] + 1e-5).all()
+    assert stated[wall].min() > 1.0
+    assert sure[~wall].all()
+    assert stated[~wall].max() < 1e-3
+
+
+def test_patterns_whose_phases_are_cut_tell_no_distance() -> None:
+    """One exposure of 2048, all cells lit, is 10 % over the rail: cells were off by up to 0.22 m
+    without a word.
+    """
+    record, (_, distance) = lock_in((10e6,), 4), scene()
+    full = int(record.counts.max() * 0.9)
+    cut = replace(record, counts=np.minimum(record.counts, full))
+    is_cut = (cut.counts < record.counts).any(axis=1)
+    assert is_cut.sum() == 1
+    marked = replace(cut, flags=np.where(is_cut, Flag.SATURATED, 0).astype(np.uint8))
+    found = range_image(marked, "zero-fill")
+    assert np.abs(found.distance_m[0] - distance).max() > 0.2
+    assert found.warnings == (PHASES_CUT,)
+    assert not found.confidence.any()
+    assert np.isinf(found.standard_error_m).all()
 
 
 def test_a_pulse_that_is_not_stated_may_be_any() -> None:

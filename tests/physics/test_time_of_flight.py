@@ -8,6 +8,7 @@ import pytest
 from scipy import constants, stats
 
 from hardware.reconstruction import range_image
+from twin.camera import capture
 from twin.camera.acquisition import measure
 from twin.camera.light import render
 from twin.camera.shutters import shutters
@@ -140,13 +141,54 @@ def test_shutters_in_four_phases_give_the_phasor_back() -> None:
 
 
 def test_a_gate_takes_the_part_of_the_pulse_that_arrives_in_it() -> None:
-    response = gate(pulse_width_s=10e-9, delay_s=20e-9, width_s=10e-9)
+    response = gate(pulse_width_s=10e-9, delay_s=20e-9, width_s=10e-9, pulse_rate_hz=1e6)
     arrives = np.array([5e-9, 10e-9, 15e-9, 20e-9, 25e-9, 30e-9, 40e-9])
     np.testing.assert_allclose(
         response(arrives * constants.c), [0, 0, 0.5, 1, 0.5, 0, 0], atol=1e-12
     )
-    whole = sum(gate(10e-9, d, 10e-9)(np.array([4.0, 7.3, 11.0])) for d in np.arange(10) * 10e-9)
+    gates = [gate(10e-9, d, 10e-9, 1e6) for d in np.arange(10) * 10e-9]
+    whole = sum(one(np.array([4.0, 7.3, 11.0])) for one in gates)
     np.testing.assert_allclose(whole, 1.0, rtol=1e-12)
+
+
+def test_a_gate_sees_the_echoes_of_all_pulses_before() -> None:
+    """A train of pulses of 5 ns every 40 ns, sampled in time: of echoes up to 4 pulses late, and of
+    ones that the next pulse cuts in two. Those beyond the next pulse had been left out.
+    """
+    width, period, step = 5e-9, 40e-9, 1e-11
+    time = np.arange(10 * period, 11 * period, step) + step / 2
+    lengths = np.random.default_rng(0).uniform(0, 4 * period, 300) * constants.c
+    lengths[0] = 38e-9 * constants.c
+    for delay in (0.0, 3e-9, 35e-9):
+        is_open = (time % period >= delay) & (time % period < delay + width)
+        arrives = [((time - x / constants.c) % period < width)[is_open] for x in lengths]
+        expected = np.array([np.mean(x) for x in arrives])  # the gate is as long as the pulse
+        found = gate(width, delay, width, 1 / period)(lengths)
+        np.testing.assert_allclose(found, expected, atol=2.1 * step / width)
+        assert found.max() > 0.8
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        (
+            "pulse_width_s = 5e-9\npulse_rate_hz = 25e6\ngate_width_s = 5e-9\n"
+            "gate_delays_s = [0.0, 5e-9, 10e-9, 15e-9]\n"
+        ),
+        "modulation_hz = [25e6]\ncontrast = 1.0\n",
+    ],
+)
+def test_distances_that_repeat_are_warned_of(tmp_path: Path, section: str) -> None:
+    """A wall at 7 m is seen at 1 m, by pulses of 25 MHz as by phases; one at 4 m where it is."""
+    system = with_time_of_flight(tmp_path, section)
+    quick = Fidelity(16, 1)
+    far = capture(wall(7.0), system, fidelity=quick)
+    assert any("distances are ambiguous" in str(warning) for warning in far.warnings)
+    assert not far.void
+    found = range_image(far.record, "zero-fill").distance_m[0][8, 8]
+    assert found == pytest.approx(7.0 - constants.c / 2 / 25e6, abs=0.02)
+    near = capture(wall(1.0), system, fidelity=quick)
+    assert not any("ambiguous" in str(warning) for warning in near.warnings)
 
 
 def with_time_of_flight(tmp_path: Path, section: str) -> System:

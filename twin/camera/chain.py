@@ -11,14 +11,16 @@ from scipy.ndimage import uniform_filter
 from hardware.patterns import Patterns
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
+from twin.camera.filtered import share_of_cells, sun_of_parts
 from twin.camera.illumination import (
     amplifier_keeps,
+    amplifier_lag,
     amplifier_residue,
+    fading,
     frame_signal,
     mean_signal,
     residual_share,
     settled,
-    switched_residue,
 )
 from twin.camera.shutters import ShutterResponse, shutters
 from twin.detector import Detector, FrontEnd, NoiseBudget
@@ -135,14 +137,14 @@ class Chain:
         collected = self.lens.transmission * self.lens.pupil_area_m2
         return np.asarray(intensity * collected * passed * self.gains)
 
-    def passed(self, cell_angle_deg: Array) -> Array:
+    def passed(self, rendered: "RenderedLight") -> Array:
         """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
-        return _by_detector(self.sky.emitter_at(cell_angle_deg), self.system)
+        return _by_detector(share_of_cells(rendered, self.sky), self.system)
 
     def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
         system = self.system
-        passed = self.passed(rendered.cell_angles_deg())
+        passed = self.passed(rendered)
         if not system.emitter.has_lens:  # every LED lights the whole field
             passed = np.full_like(passed, passed.mean())
         watt = self.watts(passed)
@@ -179,8 +181,7 @@ class Chain:
         if not optics.is_scanned:
             return None
         side = optics.receiver_cells.value if optics.receiver_cells else 1
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        parts = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
+        parts = self.sun_weight(rendered) * rendered.sun
         seen = side**2 * uniform_filter(parts, side, mode="nearest")
         return np.asarray(seen[rendered.cell_parts()].ravel())
 
@@ -189,14 +190,12 @@ class Chain:
         followed = self._sun_of_cells(rendered)
         if followed is not None:
             return followed.mean(keepdims=True)
-        collected = self.lens.transmission * self.lens.pupil_area_m2
-        sun = collected * rendered.sun * self.sky.sun_at(rendered.part_angles_deg())
-        return self._of_detectors(sun)
+        return self._of_detectors(self.sun_weight(rendered) * rendered.sun)
 
     def sun_weight(self, rendered: "RenderedLight") -> Array:
         """That power per unit of each part of `RenderedLight.sun`."""
         collected = self.lens.transmission * self.lens.pupil_area_m2
-        return np.asarray(collected * self.sky.sun_at(rendered.part_angles_deg()))
+        return collected * sun_of_parts(rendered, self.sky)
 
     def _sun_error(self, rendered: "RenderedLight") -> Array:
         """Standard error of that power, (n_detectors,)."""
@@ -244,7 +243,7 @@ class Chain:
         fluctuating = None if noise == "none" else rng
         signal_w = frame_signal(self.system, power.cells_w, rng=fluctuating, mean_w=mean_w)
         sun_w = power.sun_by_exposure(self.patterns) if sun_w is None else sun_w
-        settled_w = self.amplifier_output(self.exposure_power(signal_w, sun_w), power.sun_w)
+        settled_w = self.amplifier_output(signal_w, sun_w, power.sun_w)
         counts, flags = checked_exposure(self.front_end, settled_w, rng, noise)
         return signal_w, counts, flags
 
@@ -255,19 +254,20 @@ class Chain:
         power_w = signal_w + self.open_share[:, None] * sun_w
         return np.asarray(power_w.reshape(-1, power_w.shape[-1]))
 
-    def amplifier_output(self, exposed_w: Array, sun_w: Array) -> Array:
-        """These powers behind the amplifier, whose pole carries a share of each into later ones."""
-        alone = amplifier_residue(self.system)
+    def amplifier_output(self, signal_w: Array, sun_w: Array, before_w: Array) -> Array:
+        """`exposure_power` behind the amplifier, whose pole carries a share of each into later
+        ones, and follows light that fades within an exposure; ``before_w``: sun before the frame.
+        """
+        exposed_w, alone = self.exposure_power(signal_w, sun_w), amplifier_residue(self.system)
         if not alone:
             return exposed_w
-        # The light has left its own share in the first exposure of a pattern already.
-        left_over, of_light = np.full((len(exposed_w), 1), alone), residual_share(self.system)
-        both = switched_residue(self.system)
-        left_over[:: len(self.shutters)] = (both - of_light) / (1 - of_light)
-        dark_w = self.open_share[-1] * sun_w  # before the frame no cell is lit
-        output = settled(exposed_w, amplifier_keeps(self.system), dark_w)
-        before = np.concatenate([dark_w[None], output[:-1]])
-        return exposed_w + left_over * (before - exposed_w)
+        lasting_w = fading(self.system, signal_w).reshape(exposed_w.shape)
+        level_w = exposed_w - residual_share(self.system) * lasting_w
+        in_mean, at_end = amplifier_lag(self.system)
+        dark_w = self.open_share[-1] * before_w  # before the frame no cell is lit
+        ends = settled(level_w + at_end * lasting_w, amplifier_keeps(self.system), dark_w)
+        before = np.concatenate([dark_w[None], ends[:-1]])
+        return level_w + alone * (before - level_w) + in_mean * lasting_w
 
     def noise(self, signal_w: Array, sun_w: Array) -> NoiseBudget:
         """Budget at the mean of exposures."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.illumination import amplifier_residue, residual_share, switched_residue
-from twin.camera.shutters import farthest_gate_m
+from twin.camera.shutters import farthest_gate_m, unambiguous_m
 from twin.camera.verdict import quantisation_warnings
 from twin.detector import NoiseBudget
 from twin.optics.emission import emission_matrix, independent_patterns
@@ -38,6 +38,7 @@ def design_warnings(
     return (
         *quantisation_warnings(noise),
         *_no_light(system, in_band, scene_e, depth_m),
+        *_ambiguous(system, depth_m),
         *_narrow_filter(system, in_band),
         *_thick_air(system, depth_m),
         *_crosstalk(system, float(depth_m.min())),
@@ -109,6 +110,23 @@ def _no_light(
     else:
         return []
     return [CaptureWarning("no-light", text, void=True)]
+
+
+def _ambiguous(system: System, depth_m: Array) -> list[CaptureWarning]:
+    """Warning of surfaces whose distances repeat."""
+    longest_m, seen = unambiguous_m(system), depth_m[np.isfinite(depth_m)]
+    if not (seen > longest_m).any():
+        return []
+    field = "modulation_hz"
+    if system.time_of_flight and system.time_of_flight.modulation_hz is None:
+        field = "pulse_rate_hz"
+    return [
+        CaptureWarning(
+            "design",
+            f"distances are ambiguous: surfaces lie at up to {seen.max():.3g} m, and those beyond "
+            f"{longest_m:.3g} m are measured nearer by multiples of it: time_of_flight.{field}",
+        )
+    ]
 
 
 def _narrow_filter(system: System, in_band: float) -> list[CaptureWarning]:

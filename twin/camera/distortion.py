@@ -71,9 +71,7 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
         return _image(summed, patterns)
 
     ideal_w = chain.exposure_power(ideal_signal(chain.system, power.cells_w), sun_w)
-    slow_w = chain.amplifier_output(
-        chain.exposure_power(chain.mean_signal(power), sun_w), power.sun_w
-    )
+    slow_w = chain.amplifier_output(chain.mean_signal(power), sun_w, power.sun_w)
     true = image(ideal_w, cut=False)
     return Distortions(
         lag=_against(true, image(slow_w, cut=False), patterns),

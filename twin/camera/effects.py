@@ -54,7 +54,7 @@ def decisions_on_effects(
 
     found = [_on_pupil(rendered, problem, chain.system)]
     if chain.system.filter.effective_index is not None and chain.system.emitter.has_lens:
-        passed = chain.passed(rendered.cell_angles_deg())
+        passed = chain.passed(rendered)
         straight = np.full_like(passed, in_band_fraction(chain.system.emitter, chain.system.filter))
         # As power: through a filter that lets nothing pass at an angle there is no light left to
         # compare with.

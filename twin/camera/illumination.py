@@ -10,6 +10,10 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 
+#: Share of an error of the exposure before, up to which levels are told from exposures.
+_STEADY = 0.95
+
+
 def ideal_signal(system: System, cells_w: Array) -> Array:
     """Signal power of every exposure, (n_exposures, n_shutters, n_detectors), W, of an emitter that
     switches at once and does not fluctuate.
@@ -34,6 +38,31 @@ def mean_signal(system: System, cells_w: Array) -> Array:
     light = settled(signal, kept ** (turns[-1] + 1), np.zeros_like(signal[0]))
     before = np.concatenate([np.zeros_like(light[:1]), light[:-1]])
     return np.asarray(signal + left_over * kept ** turns[:, None] * (before - signal))
+
+
+def fading(system: System, signal_w: Array) -> Array:
+    """Light of the patterns before at the beginning of each exposure, over that of its own pattern,
+    (n_exposures, n_shutters, n_detectors), of a signal that `mean_signal` gave.
+
+    The exposures say what the emitter's levels are: each holds its own and a known share of the
+    light before. Of a decay about as long as a period and longer, behind several shutters, this
+    would let rounding grow, and 0 is taken.
+    """
+    left_over, kept = residual_share(system), _kept(system, _switching_s(system))
+    lasting = np.zeros_like(signal_w)
+    n = signal_w.shape[1]
+    whole = kept if system.gates_at_once else kept**n
+    for shutter in range(1 if system.gates_at_once else n):
+        since = kept**shutter
+        share = left_over * since
+        grows = (whole - share) / (1 - share)
+        if abs(grows) > _STEADY:
+            continue
+        signal = signal_w[:, shutter]
+        dark = np.zeros_like(signal[0])
+        before = np.concatenate([dark[None], settled(signal, grows, dark)[:-1]])
+        lasting[:, shutter] = since * (before - signal) / (1 - share)
+    return lasting
 
 
 def settled(levels: Array, kept: float, start: Array) -> Array:
@@ -91,6 +120,20 @@ def switched_residue(system: System) -> float:
     if not switching_s or not amplifier_s:
         return residual_share(system) + amplifier_residue(system)
     return system.acquisition.residue_of_two(switching_s, amplifier_s)
+
+
+def amplifier_lag(system: System) -> tuple[float, float]:
+    """Share of what `fading` tells, beyond the exposure's own, in the amplifier's mean over the
+    exposure; and how much more than at once it is worth for the amplifier's output at the end.
+    """
+    switching_s, amplifier_s = _switching_s(system), _amplifier_s(system)
+    if not switching_s or not amplifier_s:
+        return 0.0, 0.0
+    acquisition = system.acquisition
+    mean = acquisition.residue_of_two(switching_s, amplifier_s) - acquisition.residue(amplifier_s)
+    period_s = acquisition.pattern_period_s.value
+    end = acquisition.kept_of_two(switching_s, amplifier_s) / -math.expm1(-period_s / amplifier_s)
+    return mean, end
 
 
 def amplifier_keeps(system: System) -> float:

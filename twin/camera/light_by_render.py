@@ -23,7 +23,8 @@ from twin.optics.problem import LightProblem
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Instants at most at which all light is rendered.
+#: Instants from which on no interval is halved any more; the middles of those that are left are
+#: rendered once more, all in all at fewer than twice as many.
 _MOST_RENDERS = 32
 
 

@@ -56,14 +56,6 @@ class RenderedLight(Described):
     sun_error: Array | float = 0.0
     sun_left_out: Array | float = 0.0
 
-    def cell_angles_deg(self) -> Array:
-        """Angle of incidence at the detector, to its axis, of each cell of the virtual image (rows,
-        columns) at its true depth.
-        """
-        seen = self._seen()
-        cos = seen @ self.detector.axes[0] / np.linalg.norm(seen, axis=-1)
-        return np.degrees(np.arccos(np.clip(cos, -1, 1)))
-
     def cell_parts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Row and column of the part of the detector's field in which it sees each cell of the
         virtual image, at its true depth; beyond the field's border the nearest.
@@ -85,18 +77,16 @@ class RenderedLight(Described):
         return np.asarray(depth * (out + np.linalg.norm(self._seen(), axis=-1)) / 2)
 
     def _seen(self) -> Array:
-        """Towards each cell of the virtual image at its true depth, from the detector, in the
-        world's axes, (rows, columns, 3).
-        """
-        left, up = field_points(self.truth.depth_m.shape, self.emitter.tan_half_field)
-        along, depth = np.stack([np.ones_like(left), left, up], axis=-1), self.truth.depth_m
-        seen = along @ self.emitter.axes
-        near = np.isfinite(depth)
-        shift = self.emitter.origin_m - self.detector.origin_m
-        seen[near] += shift / depth[near, None]
-        return np.asarray(seen)
+        """Towards the middle of each cell of the virtual image."""
+        depth_m = self.truth.depth_m
+        return self.towards(*field_points(depth_m.shape, self.emitter.tan_half_field), depth_m)
 
-    def part_angles_deg(self) -> Array:
-        """The same of each part of the detector's field."""
-        parts = np.hypot(*field_points(self.sun.shape, self.detector.tan_half_field))
-        return np.degrees(np.arctan(parts))
+    def towards(self, left: Array, up: Array, depth_m: Array) -> Array:
+        """Towards points of the emitter's field, left and up on the plane at distance 1, at these
+        depths, from the detector, in the world's axes, (rows, columns, 3).
+        """
+        seen = np.stack([np.ones_like(left), left, up], axis=-1) @ self.emitter.axes
+        near = np.isfinite(depth_m)
+        shift = self.emitter.origin_m - self.detector.origin_m
+        seen[near] += shift / depth_m[near, None]
+        return np.asarray(seen)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
+from hardware.reconstruction.depth import common_range_m
 from hardware.records import Shutter
 from hardware.records.state import ALWAYS_OPEN
 from twin.optics.time_of_flight import Response, gate, phase_shutter
@@ -63,7 +64,7 @@ def _gates(tof: TimeOfFlight) -> tuple[ShutterResponse, ...]:
     width = tof.gate_width_s.value
     return tuple(
         ShutterResponse(
-            response=gate(pulse, delay, width),
+            response=gate(pulse, delay, width, rate),
             light_share=pulse * rate,
             open_share=width * rate,
             recorded=Shutter(gate_delay_s=delay, gate_width_s=width),
@@ -80,3 +81,15 @@ def farthest_gate_m(system: System) -> float:
         for one in shutters(system)
     ]
     return constants.c / 2 * max(ends_s)
+
+
+def unambiguous_m(system: System) -> float:
+    """Distance from which on echoes look nearer than they are: those of gates come back after the
+    next pulse, the phases of all frequencies repeat. Infinite without time of flight.
+    """
+    if (tof := system.time_of_flight) is None:
+        return math.inf
+    if tof.modulation_hz is not None:
+        return common_range_m(tof.modulation_hz.value)
+    assert tof.pulse_rate_hz is not None  # a TimeOfFlight without frequencies has gates
+    return constants.c / 2 / tof.pulse_rate_hz.value

@@ -73,14 +73,21 @@ def phase_shutter(modulation_hz: float, phase_rad: float, contrast: float = 1.0)
     return lambda length_m: (1 + contrast * np.cos(k * length_m - phase_rad)) / 2
 
 
-def gate(pulse_width_s: float, delay_s: float, width_s: float) -> Response:
-    """Share of a rectangular pulse that returns while a gate is open.
+def gate(pulse_width_s: float, delay_s: float, width_s: float, pulse_rate_hz: float) -> Response:
+    """Share of the light of rectangular pulses that returns while a gate is open.
 
-    The pulse leaves from 0 to ``pulse_width_s``; the gate is open from ``delay_s`` for ``width_s``.
+    Each pulse leaves from 0 to ``pulse_width_s``; the gate is open from ``delay_s`` for ``width_s``
+    after each, no longer than until the next. An echo that comes back after the next pulse or a
+    later one is seen after that.
     """
+    period_s = 1 / pulse_rate_hz
 
     def response(length_m: Array) -> Array:
-        delay = length_m / constants.c
+        delay = length_m / constants.c % period_s
+        # The end of an echo that begins before the next pulse may come back after it.
+        return seen(delay) + seen(delay - period_s)
+
+    def seen(delay: Array) -> Array:
         first = np.maximum(delay, delay_s)
         last = np.minimum(delay + pulse_width_s, delay_s + width_s)
         return np.maximum(last - first, 0) / pulse_width_s

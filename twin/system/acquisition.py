@@ -71,6 +71,16 @@ class Acquisition(Strict):
         begin, end = ((2 * middle + t) * math.exp(-t / middle) for t in (period - time, period))
         return (begin - end) / time
 
+    def kept_of_two(self, tau_s: float, other_s: float) -> float:
+        """What the second of two such stages has at a period's end, of what was in the first one at
+        its beginning.
+        """
+        period = self.pattern_period_s.value
+        apart, middle = tau_s - other_s, (tau_s + other_s) / 2
+        if abs(apart) > _ALIKE * middle:
+            return tau_s / apart * (math.exp(-period / tau_s) - math.exp(-period / other_s))
+        return period / middle * math.exp(-period / middle)
+
     def _decayed_s2(self, tau_s: float) -> float:
         """Integral of tau exp(-t / tau) over an exposure."""
         time = self.integration_time_s.value
@@ -101,7 +111,9 @@ class TimeOfFlight(Strict):
     pulse_width_s: Sourced[Positive] | None = None
     """Gated: length of a pulse; the radiant intensity is that of the pulse."""
     pulse_rate_hz: Sourced[Positive] | None = None
-    """Gated: pulses per second."""
+    """Gated: pulses per second. Echoes that come back after the next pulse look nearer, by half the
+    way of light from one pulse to the next.
+    """
     gate_width_s: Sourced[Positive] | None = None
     """Gated: for how long the detector is open after each pulse."""
     gate_delays_s: Sourced[Annotated[tuple[NonNegative, ...], Field(min_length=1)]] | None = None
