@@ -61,8 +61,8 @@ def test_a_radio_that_begins_later_shows_what_the_world_is_like_by_then(scene: S
 
 
 def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> None:
-    """What the camera's server is given for a run begins where the radar has come to. At a fast pace
-    too its frames are computed ahead, elsewhere: a camera that computes hears nothing.
+    """What the camera's server is given for a run begins where the radar has come to. At a fast
+    pace too its frames are computed ahead, elsewhere: a camera that computes hears nothing.
     """
     began: list[Scene] = []
 
