@@ -192,11 +192,8 @@ class Log:
 
 def _pose(name: str, values: Sequence[float]) -> QuaternionPose:
     try:
-        pose = QuaternionPose.from_numbers(values)
-        if not any(pose[3:]):
-            raise InputError
+        return QuaternionPose.from_numbers(values)
     except (TypeError, ValueError):
         raise InputError(
-            f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z"
+            f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z that is not 0"
         ) from None
-    return pose

@@ -247,6 +247,14 @@ def check_positive(record: Any, *names: str) -> None:
             raise InputError(f"{name}: {value} is not a positive number")
 
 
+def check_between(record: Any, least: float, most: float, *names: str) -> None:
+    """Raise InputError unless every named field is a number from ``least`` to ``most``."""
+    for name in names:
+        value = getattr(record, name)
+        if not (isinstance(value, _NUMBER) and least <= value <= most):
+            raise InputError(f"{name}: {value!r:.60}, expected a number from {least:g} to {most:g}")
+
+
 def _check(layout: Layout, file: Any) -> int:
     """The file's schema version, if it can be read."""
     format_name = _value(file, "format") if "format" in file.attrs else None

@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import zstandard
 from radar_cubes import STEP, Echo, cube
+from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.radio.setup import read_setup
@@ -310,6 +312,67 @@ def test_numbers_of_more_bits_than_a_records_do_not_wrap(
         file[name][5] += 2**32
     with pytest.raises(InputError, match=rf"r\.h5: {name}: \d+ to 429\d+, expected "):
         read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("electrons_per_count", 1e300),
+        ("offset_counts", "abc"),
+        ("offset_counts", -1e300),
+        ("pulse_width_s", "abc"),
+        ("integration_time_s", 1e300),
+        ("shutters", 3.0),
+        ("shutters", [[1e6, 0.0, 1e-9, 1e-9]]),
+        ("pose", [0.0] * 7),
+    ],
+)
+def test_numbers_that_cannot_be_are_told_with_their_field(
+    name: str, value: Any, record: SpiRecord, tmp_path: Path
+) -> None:
+    """Some had ended in a library's error, or in an overflow of the reconstruction."""
+    path = tmp_path / "r.h5"
+    write_record(record, path)
+    with h5py.File(path, "a") as file:
+        if name in file:
+            del file[name]
+            file[name] = np.array(value)
+        else:
+            file.attrs[name] = value
+    with pytest.raises(InputError, match=rf"r\.h5: {name}: .*, expected "):
+        read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("pose = [1, 2]", r"pose: \(1.0, 2.0\), expected x y z"),
+        ("pose = [0, 0, 0, 0, 0, 0, 0]", "pose: .* that is not 0"),
+        ("pose = 3", "pose: 3, expected a list of 7 numbers"),
+        ('shutters = "x"', "shutters: 'x', expected a list of lists of 4 numbers"),
+        ("shutters = [[1e6, 0, 1e-9, 1e-9]]", "shutters: .* one shutter is not both"),
+        ("pattern_period_s = 1e-5", "pattern_period_s: 1e-05, expected 0 or at least integ"),
+    ],
+)
+def test_settings_that_no_camera_may_be_sent_name_their_field(
+    line: str, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        f"integration_time_s = 1e-4\n{line}\n[patterns]\nrows = 8\ncolumns = 8\ncount = 64\n"
+    )
+    with pytest.raises(InputError, match=rf"camera\.toml: {told}"):
+        read_settings(path)
+
+
+def test_a_record_whose_exposures_are_lost_is_told_by_its_name(
+    record: SpiRecord, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.h5"
+    write_record(replace(record, flags=np.full(64, 8, np.uint8)), path)
+    told = ugv("reconstruct", path)
+    assert told.returncode == 2
+    assert f"{path}: flags: exposures are lost" in told.stderr
 
 
 def test_a_full_disk_is_told_by_the_files_name_and_leaves_nothing(

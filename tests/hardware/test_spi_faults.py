@@ -118,6 +118,24 @@ def test_frames_whose_times_are_not_those_of_the_clock_are_refused(
             next(camera.records())
 
 
+def test_a_table_beyond_what_the_device_holds_is_not_sent(firmware: Any) -> None:
+    """128 exposures of 8 bytes, where the device says that it holds 100 bytes."""
+
+    def small(one: Message) -> Message:
+        return replace(one, max_table_bytes=100) if isinstance(one, Identity) else one
+
+    with firmware.running("--fast") as path, bridged(path) as bridge:
+        bridge.spoil = changed(small)
+        settings = replace(SETTINGS, upload=True)
+        with (
+            SpiCamera(bridge.url, settings, patience=QUICK) as camera,
+            pytest.raises(DeviceError, match="a table of 1024 bytes; the device holds at most 100"),
+        ):
+            camera.acquire()
+        with SpiCamera(bridge.url, SETTINGS, patience=QUICK) as camera:
+            camera.acquire()
+
+
 def test_another_device_after_a_reset_is_recorded_as_what_it_is(
     firmware: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
