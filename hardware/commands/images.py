@@ -70,8 +70,8 @@ def reconstruct(
     solve, loaded = method_of(method), read_record(record)
     try:
         n_received = loaded.received.patterns.count
-    except InputError as error:
-        raise InputError(f"{record}: {error}") from error
+    except InputError as fault:
+        raise InputError(f"{record}: {fault}") from fault
     target = result_file(record, f"-{solve.name}.npz", out, png)
     moved = motion_of(motion) if motion is not None else None
     start = time.perf_counter()

@@ -4,6 +4,7 @@ import json
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def test_the_table_of_the_vectors_is_that_of_their_patterns() -> None:
 
     def changes(i: int) -> int:
         signs = [(i & j).bit_count() % 2 for j in range(16)]
-        return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+        return sum(a != b for a, b in pairwise(signs))
 
     rows = sorted(range(256), key=lambda i: (changes(i // 16) + changes(i % 16), i))
     table = bytearray()
