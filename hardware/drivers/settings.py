@@ -65,11 +65,6 @@ class SpiSettings:
             raise InputError(
                 f"pattern_period_s: {self.pattern_period_s} is not 0 or a positive number"
             )
-        if 0 < self.pattern_period_s < self.integration_time_s:
-            raise InputError(
-                f"pattern_period_s: {self.pattern_period_s:g}, expected 0 or at least "
-                f"integration_time_s = {self.integration_time_s:g}"
-            )
         if not 0 <= self.pulse_width_s < math.inf:
             raise InputError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
         for name, most in (("gain", 0xFF), ("exposures_per_frame", 0xFFFF)):
