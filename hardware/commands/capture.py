@@ -73,22 +73,26 @@ def capture(
     flags: dict[str, Counter[str]] = {}
     endings: dict[str, Ending] = {}
     limits: dict[str, Any] = {"duration_s": duration, "records": records, "endings": endings}
-    with asked_to_end() as over, Log(out, extrinsics=extrinsics) as log:
-        incoming = run(urls, log, loaded, setup, over=over, **limits)
+    with asked_to_end() as over:
+        log = Log(out, extrinsics=extrinsics)
         try:
-            for received in incoming:
-                n[received.topic] += 1
-                flags.setdefault(received.topic, Counter()).update(_counted(received.record))
-                say.step(f"{received.topic}: record {n[received.topic]}")
+            with log:
+                for received in run(urls, log, loaded, setup, over=over, **limits):
+                    n[received.topic] += 1
+                    flags.setdefault(received.topic, Counter()).update(_counted(received.record))
+                    say.step(f"{received.topic}: record {n[received.topic]}")
+                if not n:
+                    within = f" within {duration:g} s" if duration < math.inf else ""
+                    raise InputError(f"{', '.join(urls)}: no record came{within}")
         finally:
             if over.is_set():
                 say.line("stopped")
             took_s = time.monotonic() - begun
-            say.verdict(f"{out}: {n.total()} records in {took_s:.1f} s")
-            say.add(log=out, records=dict(n), seconds=took_s, stopped=over.is_set())
-        if not n:
-            within = f" within {duration:g} s" if duration < math.inf else ""
-            raise InputError(f"{', '.join(urls)}: no record came{within}")
+            written = {topic: log.flushed.get(topic, 0) for topic in n}
+            lost = n.total() - sum(written.values())
+            beside = f"; {lost} more had come and may not be in it" if lost else ""
+            say.verdict(f"{out}: {sum(written.values())} records in {took_s:.1f} s{beside}")
+            say.add(log=out, records=written, seconds=took_s, stopped=over.is_set())
     unheard = [
         topic for topic, counted in flags.items() if counted["overrun"] == counted["slots"] > 0
     ]

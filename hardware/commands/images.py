@@ -68,6 +68,10 @@ def reconstruct(
     from hardware.words_of_motion import motion_in_words
 
     solve, loaded = method_of(method), read_record(record)
+    try:
+        n_received = loaded.received.patterns.count
+    except InputError as fault:
+        raise InputError(f"{record}: {fault}") from fault
     target = result_file(record, f"-{solve.name}.npz", out, png)
     moved = motion_of(motion) if motion is not None else None
     start = time.perf_counter()
@@ -85,7 +89,7 @@ def reconstruct(
     detectors, rows, columns = reconstruction.image.shape
     patterns, low, high = loaded.patterns, *_extremes(reconstruction.image)
     say.line(
-        f"{record}: {loaded.received.patterns.count} of {patterns.n_cells} patterns "
+        f"{record}: {n_received} of {patterns.n_cells} patterns "
         f"({patterns.order}, {patterns.mode}), {counted(detectors, 'image')} of "
         f"{rows} x {columns}"
     )
@@ -120,7 +124,7 @@ def reconstruct(
         method=solve.name,
         seconds=elapsed,
         shape=reconstruction.image.shape,
-        patterns=loaded.received.patterns.count,
+        patterns=n_received,
         figures=[dict(zip(("name", "unit", "value"), each, strict=True)) for each in figures],
     )
     with whole_file(target) as partial, partial.open("wb") as file:

@@ -11,7 +11,8 @@ from hardware.drivers.messages import Configured, Measurement
 from hardware.records.container import Flag
 
 _LOST = int(Flag.LOST)
-#: A frame is as late after the one before as its number says; half of that is enough, less ns.
+#: A frame is as late after the one before, or after Start, as its number says, and has come by the
+#: device's clock when it arrives; half of that is enough, less ns.
 _EARLY_NS = 1e6
 #: Times between two frames are smaller.
 _LONGEST_GAP_NS = 86_400 * 10**9
@@ -42,6 +43,10 @@ class Assembly:
     on_loss
         Called with the sequence numbers of lost frames, as soon as a later frame shows the gap.
         Late and duplicate frames are ignored.
+    begun_ns
+        The device's clock before it was started; None: not known.
+    clock_has_come_to
+        Whether the device's clock has come to a time, ns; it is asked as a frame arrives.
     """
 
     def __init__(
@@ -50,6 +55,9 @@ class Assembly:
         configured: Configured,
         adc_bits: int,
         on_loss: Callable[[range], None] = lambda lost: None,
+        *,
+        begun_ns: int | None = None,
+        clock_has_come_to: Callable[[int], bool] = lambda time_ns: True,
     ) -> None:
         self.run, self.configured = run, configured
         self.next_sequence = 0
@@ -57,6 +65,7 @@ class Assembly:
         self.refused, self.fault = 0, ""
         self._top = 2**adc_bits - 1
         self._on_loss = on_loss
+        self._begun_ns, self._clock_has_come_to = begun_ns, clock_has_come_to
         self._frames_per_set = -(-configured.exposures // configured.exposures_per_frame)
         self._since_ns = np.rint(
             np.arange(configured.exposures) * configured.pattern_period_s * 1e9
@@ -71,7 +80,7 @@ class Assembly:
         if frame.run != self.run or frame.sequence < self.next_sequence:
             self.refused += 1
             return
-        fault = self._fault(frame)
+        fault = self._fault(frame) or self._clock_fault(frame)
         if not fault and (fault := self._contradiction(frame, self._last)):
             if self._agree(frame):
                 self._drop_last()
@@ -127,6 +136,25 @@ class Assembly:
             return f"counts from {least} to {most}, expected 0 to {self._top}"
         if abs(frame.time_ns) > MOST_TIME_NS:
             return f"device time of {frame.time_ns} ns, expected at most {MOST_TIME_NS:g}"
+        return ""
+
+    def _clock_fault(self, frame: Measurement) -> str:
+        """What a frame's time says that the device's clock contradicts."""
+        period_ns, time_s = 1e9 * self.configured.pattern_period_s, frame.time_ns * 1e-9
+        takes_ns = self._exposures_before(frame) * period_ns
+        if self._begun_ns is not None:
+            passed_ns = frame.time_ns - self._begun_ns
+            if passed_ns < takes_ns / 2 - _EARLY_NS:
+                return (
+                    f"begins at {time_s:.6f} s of the device's clock, {passed_ns * 1e-9:.6g} s "
+                    f"after it was started, which by its number takes {takes_ns * 1e-9:.6g} s"
+                )
+        middle_ns = frame.time_ns + round(len(frame.counts) * period_ns / 2 - _EARLY_NS)
+        if not self._clock_has_come_to(middle_ns):
+            return (
+                f"begins at {time_s:.6f} s of the device's clock, to which that has not come when "
+                "the frame arrives"
+            )
         return ""
 
     def _contradiction(self, frame: Measurement, before: Measurement | None) -> str:

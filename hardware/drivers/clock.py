@@ -29,6 +29,9 @@ MOST_TIME_NS = 2**62
 _KEPT = 64
 #: Exchanges in agreement that make a clock.
 _SURE = 8
+#: Of a clock that has not run at the host's rate so far, smaller steps are not told: they are in
+#: the stated error. Between two exchanges a clock that stands still loses a round trip.
+_UNTOLD_NS = 1e8
 #: The latest exchanges: a second of them in a camera's run.
 _LATEST = 4
 #: Of times that are whole ns, and of half their sums.
@@ -123,14 +126,16 @@ class ClockFilter:
         expected_ns = self._model.device_ns(new.host_ns) - new.host_ns
         jumped_ns = new.offset_ns - expected_ns
         # Told once of a clock that never runs at the host's rate, as that of a fast virtual device.
-        if not self._was_told or n_before >= _SURE:
+        is_sure = n_before >= _SURE
+        if is_sure or (not self._was_told and abs(jumped_ns) > _UNTOLD_NS):
+            self._was_told = True
             _log.warning(
                 "%s: its clock jumped by %.6g s against the host's: one of them was set, or they "
                 "do not run at one rate; its times are on the host's clock as of now",
                 self._name,
                 jumped_ns * 1e-9,
             )
-        self._was_told, self._jumped_ns = True, abs(jumped_ns)
+        self._jumped_ns = abs(jumped_ns)
         self._exchanges.clear()
         self._exchanges.append(new)
         found = _model_of(self._exchanges, self._ahead_ns)

@@ -20,9 +20,7 @@ from hardware.drivers.request_client import RequestClient
 from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
 from hardware.errors import DeviceError
-
-#: Times (s) and counts are invalid in a device's reply below these and above.
-_LEAST, _MOST = 1e-300, 1e9
+from hardware.records.spi import LEAST_NUMBER, MOST_NUMBER
 
 
 def identify(device: RequestClient) -> Identity:
@@ -53,6 +51,11 @@ def prepare(device: RequestClient, identity: Identity, settings: SpiSettings) ->
         )
     table = table_bytes(patterns)
     crc = zlib.crc32(table)
+    if request.order == UPLOADED and len(table) > identity.max_table_bytes:
+        raise DeviceError(
+            f"{device.url}: {patterns.n_exposures} patterns take a table of {len(table)} bytes; "
+            f"the device holds at most {identity.max_table_bytes}"
+        )
     configured = device.ask(request, Configured)
     exposures = patterns.n_exposures * len(settings.shutters)
     if fault := _fault(configured, identity, exposures, len(table)):
@@ -101,10 +104,10 @@ def _fault(configured: Configured, identity: Identity, exposures: int, size: int
         ("exposures_per_frame", (1, most)),
         ("detectors", (identity.detectors, identity.detectors)),
         # Device times are whole ns in 64 bits.
-        ("pattern_period_s", (_LEAST, _MOST / max(configured.exposures, 1))),
-        ("integration_time_s", (_LEAST, configured.pattern_period_s)),
-        ("electrons_per_count", (_LEAST, _MOST)),
-        ("offset_counts", (-_MOST, _MOST)),
+        ("pattern_period_s", (LEAST_NUMBER, MOST_NUMBER / max(configured.exposures, 1))),
+        ("integration_time_s", (LEAST_NUMBER, configured.pattern_period_s)),
+        ("electrons_per_count", (LEAST_NUMBER, MOST_NUMBER)),
+        ("offset_counts", (-MOST_NUMBER, MOST_NUMBER)),
     ):
         least, largest = expected
         if not least <= (value := getattr(configured, name)) <= largest:

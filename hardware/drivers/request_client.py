@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-from hardware.drivers.clock import ClockFilter
+from hardware.drivers.clock import MOST_DRIFT, ClockFilter
 from hardware.drivers.framing import Deframer, encode
 from hardware.drivers.link import Link
 from hardware.drivers.messages import (
@@ -99,6 +99,9 @@ class RequestClient:
         self._tags = itertools.cycle(range(1, 256))
         self._next_sync_s = 0.0
         self._asked_ns: deque[int] = deque(maxlen=_TIMES_KEPT)
+        #: Of the answer since `synchronize` with the latest device time: when the host asked, and
+        #: that time. One of a device that was reset is earlier.
+        self._told_ns: tuple[int, int] | None = None
         self._link, self._deframer = self._open(), Deframer()
 
     @property
@@ -139,10 +142,29 @@ class RequestClient:
         return self.ask(Query(), Status)
 
     def synchronize(self, exchanges: int) -> None:
-        """Make several exchanges of time."""
+        """Make several exchanges of time, with a device whose clock may have begun anew."""
+        self._told_ns = None
         for _ in range(exchanges):
             self.ask(self._time(), TimeReply)
         self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
+
+    @property
+    def told_ns(self) -> int | None:
+        """The latest time of the device's clock that it has told; None: none."""
+        return None if self._told_ns is None else self._told_ns[1]
+
+    def clock_has_come_to(self, device_ns: int) -> bool:
+        """Whether the device's clock has, by its latest answer and the time since; where these do
+        not allow it, the device is asked. True where it was reset meanwhile. Raises as `ask`.
+        """
+        told_ns = 0
+        if self._told_ns is not None:
+            asked_ns, told_ns = self._told_ns
+            since_ns = max(time.time_ns() - asked_ns, 0) * (1 + MOST_DRIFT)
+            if device_ns <= told_ns + since_ns:
+                return True
+        now_ns = self.ask(self._time(), TimeReply).sent_ns
+        return device_ns <= now_ns or now_ns < told_ns
 
     def next(self, silence_s: float) -> Measurement | Status | None:
         """Next message of a run; None after a silence, or when it is over."""
@@ -213,6 +235,8 @@ class RequestClient:
         if reply.host_ns not in self._asked_ns:
             raise InputError(f"time exchange: {reply.host_ns} ns: the host sent another time")
         self.clock.add(reply.host_ns, reply.received_ns, reply.sent_ns, now_ns)
+        if self._told_ns is None or reply.sent_ns > self._told_ns[1]:
+            self._told_ns = reply.host_ns, reply.sent_ns
 
     def _open(self) -> Link:
         deadline = time.monotonic() + self.patience.reconnect_s

@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -187,9 +188,11 @@ def _state(given: dict[str, Any]) -> dict[str, Any]:
     """Fields with pose and shutters as their types."""
     made = dict(given)
     if "pose" in made:
-        made["pose"] = QuaternionPose.from_numbers(made["pose"])
+        with _naming("pose", made["pose"], "a list of 7 numbers"):
+            made["pose"] = QuaternionPose.from_numbers(made["pose"])
     if "shutters" in made:
-        made["shutters"] = tuple(map(Shutter.from_numbers, made["shutters"]))
+        with _naming("shutters", made["shutters"], "a list of lists of 4 numbers"):
+            made["shutters"] = tuple(map(Shutter.from_numbers, made["shutters"]))
     for name in ("integration_time_s", "pattern_period_s", "pulse_width_s"):
         value = made.get(name, 0.0)
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -197,6 +200,17 @@ def _state(given: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(made.get("upload", False), bool):
         raise InputError(f"upload: {made['upload']!r:.60}, expected true or false")
     return made
+
+
+@contextmanager
+def _naming(name: str, value: Any, expected: str) -> Iterator[None]:
+    """Errors say which field a value was given for."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: {value!r:.60}, expected {expected}") from error
 
 
 def _in_unit(name: str, value: Any) -> Any:

@@ -33,8 +33,10 @@ class _Run:
     #: the same, by the host's monotonic clock.
     frames_at_silence: int | None = None
     silent_since_s: float = 0.0
-    #: When the latest frame came that was not refused, by the same clock.
+    #: When the latest frame came that was not refused, by the same clock; and the first one after
+    #: it that was, None: none.
     heard_s: float = field(default_factory=time.monotonic)
+    refused_since_s: float | None = None
     #: Whether the device has given it up, or measures nothing: it is to be started anew.
     is_over: bool = False
 
@@ -131,9 +133,16 @@ class SpiCamera:
         """Configure the device and start the run."""
         number = self._free_run_number()
         configured = prepare(self._device, self.identity, self.settings)
-        assembly = Assembly(number, configured, self.identity.adc_bits, self._lost)
         self._device.inbox.clear()
         self._device.synchronize(_FIRST_SYNCS)
+        assembly = Assembly(
+            number,
+            configured,
+            self.identity.adc_bits,
+            self._lost,
+            begun_ns=self._device.told_ns,
+            clock_has_come_to=self._device.clock_has_come_to,
+        )
         self._sets = sets
         self._run = _Run(number, assembly, configured)
         self._device.ask(Start(number, sets), Status)
@@ -166,7 +175,9 @@ class SpiCamera:
             return self._give_up(run) if run.is_over else self._handle_status(status)
 
     def _take(self, frame: Measurement) -> list[ExposureSet]:
-        """Sets completed by a frame; the first fault of a run is warned of."""
+        """Sets completed by a frame; the first fault of a run is warned of. Where every frame has
+        one for long, the device is started anew.
+        """
         run = self._run
         assert run is not None
         self.statistics.frames += 1
@@ -176,10 +187,25 @@ class SpiCamera:
             self.statistics.refused += assembly.refused - before
             if assembly.fault and not fault:
                 _log.warning("%s: refused, as are others like it: %s", self.url, assembly.fault)
-            return sets
+            return sets + self._refused(run)
         self._starts_in_vain = 0
         run.frames_at_silence, run.heard_s = None, time.monotonic()
+        run.refused_since_s = None
         return sets
+
+    def _refused(self, run: _Run) -> list[ExposureSet]:
+        """After a refused frame: the set that was being measured, if the run is given up."""
+        now_s, deaf_s = time.monotonic(), self._deaf_s(run)
+        if run.refused_since_s is None:
+            run.refused_since_s = now_s
+        if now_s - run.refused_since_s <= deaf_s:
+            return []
+        _log.warning("%s: every frame was refused for %.3g s; starting anew", self.url, deaf_s)
+        return self._give_up(run)
+
+    def _deaf_s(self, run: _Run) -> float:
+        """For how long no frame of a device that measures may come whole."""
+        return max(self._device.patience.reconnect_s, 3 * self._silence_s(run.configured))
 
     def _silence_s(self, configured: Configured) -> float:
         """Timeout of silence: the time of three frames and of a reply."""
@@ -226,7 +252,7 @@ class SpiCamera:
         now_s, patience_s = time.monotonic(), self._device.patience.reconnect_s
         if self._device.measured:
             return ""
-        deaf_s = max(patience_s, 3 * self._silence_s(run.configured))
+        deaf_s = self._deaf_s(run)
         if status.frames > run.assembly.next_sequence and now_s - run.heard_s > deaf_s:
             return (
                 f"the device has measured {status.frames} frames, and none has come whole for "

@@ -69,6 +69,8 @@ class Log:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
+        #: Messages of each topic that stand in the file for sure; others may be lost at a fault.
+        self.flushed: Mapping[str, int] = {}
         now_ns = time.time_ns()
         for name, pose in self._extrinsics.items():
             fixed = ros.transform(pose, now_ns, "rig", name)
@@ -159,7 +161,7 @@ class Log:
                     f"{self.path}: was removed or replaced while it was written; its messages are "
                     "lost"
                 )
-        self._flushed_s = time.monotonic()
+        self.flushed, self._flushed_s = dict(self._sequence), time.monotonic()
 
     def close(self) -> None:
         """Finish the file; any number of times."""
@@ -172,6 +174,7 @@ class Log:
                 written = os.fstat(self._file.fileno())
             finally:
                 self._file.close()
+        self.flushed = dict(self._sequence)
         if not (self.path.exists() and os.path.samestat(written, self.path.stat())):
             raise InputError(f"{self.path}: was moved, removed or replaced while it was written")
 
@@ -189,11 +192,8 @@ class Log:
 
 def _pose(name: str, values: Sequence[float]) -> QuaternionPose:
     try:
-        pose = QuaternionPose.from_numbers(values)
-        if not any(pose[3:]):
-            raise InputError
+        return QuaternionPose.from_numbers(values)
     except (TypeError, ValueError):
         raise InputError(
-            f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z"
+            f"extrinsics: {name}: {values}, expected x y z, quaternion w x y z that is not 0"
         ) from None
-    return pose

@@ -1,4 +1,8 @@
-"""The file behind every record: HDF5 with a format name and a schema version."""
+"""The file behind every record: HDF5 with a format name and a schema version.
+
+Arrays have checksums (Fletcher-32), and so has all else, as the format of HDF5 1.10 has it: a bit
+that has flipped is an error, not another count.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -16,6 +20,10 @@ from hardware.files import whole_file
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
 _MOST_RATIO = 1032
 _MOST_ATTRIBUTE_BYTES = 1 << 16
+#: Bytes of an array with one checksum; HDF5 checks none of an array in one piece.
+_CHUNK_BYTES = 1 << 20
+#: Oldest format of HDF5 that has checksums of attributes, and of arrays without 2 kB for each.
+_HDF5_FORMAT = "v110"
 _NUMBER = int | float | np.integer | np.floating
 
 
@@ -97,7 +105,8 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
 
     # In memory first: where the disk fills up, HDF5 cannot close its file and takes the process
     # with it.
-    with h5py.File("record", "w", driver="core", backing_store=False) as file:
+    how = {"driver": "core", "backing_store": False, "libver": (_HDF5_FORMAT, _HDF5_FORMAT)}
+    with h5py.File("record", "w", **how) as file:
         file.attrs["format"] = layout.format
         file.attrs["schema_version"] = layout.version
         for name in layout.settings:
@@ -107,18 +116,31 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
             group.attrs[name] = layout.parameter(record, name)
         for name in layout.optional:
             if (value := layout.parameter(record, name)) is not None:
-                group.create_dataset(name, data=np.asarray(value, dtype=np.int64))
+                _create(group, name, np.asarray(value, dtype=np.int64))
         for name, dtype in layout.group_arrays.items():
             if (value := layout.parameter(record, name)) is not None:
                 data = np.asarray(value, dtype=dtype)
-                group.create_dataset(name, data=data, compression="gzip", shuffle=True)
+                _create(group, name, data, compression="gzip", shuffle=True)
         for name, (dtype, meaning) in layout.arrays.items():
             data = np.asarray(layout.value(record, name), dtype=dtype)
-            file.create_dataset(name, data=data).attrs["meaning"] = meaning
+            _create(file, name, data).attrs["meaning"] = meaning
         file.flush()
         image = file.id.get_file_image()
     with whole_file(path) as partial:
         partial.write_bytes(image)
+
+
+def _create(group: Any, name: str, data: "np.ndarray[Any, Any]", **filters: Any) -> Any:
+    """An array with checksums, in pieces along its first axes."""
+    if not data.size:
+        return group.create_dataset(name, data=data)
+    chunks, inner = list(data.shape), data.nbytes
+    for axis, n in enumerate(data.shape):
+        inner //= n
+        chunks[axis] = min(n, max(1, _CHUNK_BYTES // inner))
+        if inner <= _CHUNK_BYTES:
+            break
+    return group.create_dataset(name, data=data, chunks=tuple(chunks), fletcher32=True, **filters)
 
 
 def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -225,6 +247,14 @@ def check_positive(record: Any, *names: str) -> None:
             raise InputError(f"{name}: {value} is not a positive number")
 
 
+def check_between(record: Any, least: float, most: float, *names: str) -> None:
+    """Raise InputError unless every named field is a number from ``least`` to ``most``."""
+    for name in names:
+        value = getattr(record, name)
+        if not (isinstance(value, _NUMBER) and least <= value <= most):
+            raise InputError(f"{name}: {value!r:.60}, expected a number from {least:g} to {most:g}")
+
+
 def _check(layout: Layout, file: Any) -> int:
     """The file's schema version, if it can be read."""
     format_name = _value(file, "format") if "format" in file.attrs else None
@@ -262,7 +292,14 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
         raise InputError(
             f"{name}: {dataset.nbytes} bytes of shape {dataset.shape}, but the file holds {held}"
         )
-    return dataset[()].astype(dtype)
+    values = dataset[()]
+    if dtype.kind in "iu" and values.size:  # which else would wrap to other numbers
+        least, most, known = int(values.min()), int(values.max()), np.iinfo(dtype)
+        if least < known.min or most > known.max:
+            raise InputError(
+                f"{name}: {least} to {most}, expected {known.min} to {known.max} ({dtype})"
+            )
+    return values.astype(dtype)
 
 
 def _value(group: Any, name: str) -> Any:

@@ -17,6 +17,9 @@ from hardware.records.state import ALWAYS_OPEN, QuaternionPose, Shutter
 
 Array = NDArray[np.int64]
 
+#: Times (s) and factors of a camera below and above these are none: their squares are numbers.
+LEAST_NUMBER, MOST_NUMBER = 1e-150, 1e9
+
 _BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
 
@@ -78,8 +81,7 @@ class SpiRecord(Described):
             raise InputError("shutters: none, expected at least one")
         if not all(0 <= value < np.inf for shutter in self.shutters for value in shutter):
             raise InputError("shutters: a value is negative or no number")
-        if not 0 <= self.pulse_width_s < np.inf:
-            raise InputError(f"pulse_width_s: {self.pulse_width_s} is not 0 or a positive number")
+        container.check_between(self, 0, MOST_NUMBER, "pulse_width_s")
         n = self.patterns.n_exposures * len(self.shutters)
         shapes = {"device_time_ns": (n,), "sequence": (n,), "flags": (n,)}
         container.check_shapes(self, shapes)
@@ -103,8 +105,10 @@ class SpiRecord(Described):
         if not (self.flags & Flag.RESET).any():
             check_order(*self._times_of_patterns((self.flags & Flag.LOST) == 0))
         container.check_positive(self, "integration_time_s", "electrons_per_count")
-        if not np.isfinite(self.offset_counts):
-            raise InputError(f"offset_counts: {self.offset_counts} is not a number")
+        container.check_between(
+            self, LEAST_NUMBER, MOST_NUMBER, "integration_time_s", "electrons_per_count"
+        )
+        container.check_between(self, -MOST_NUMBER, MOST_NUMBER, "offset_counts")
         if not np.isfinite(self.pose).all():
             raise InputError("pose: a value is no number")
 
@@ -226,6 +230,8 @@ def exposures_between(before: SpiRecord | None, after: SpiRecord) -> int:
 
 
 def _shutters(rows: NDArray[np.float64]) -> tuple[Shutter, ...]:
+    if rows.ndim != 2:
+        raise InputError(f"an array of shape {rows.shape}, expected four numbers for each shutter")
     return tuple(map(Shutter.from_numbers, rows.tolist()))
 
 

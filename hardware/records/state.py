@@ -43,10 +43,12 @@ class QuaternionPose(NamedTuple):
 
     @classmethod
     def from_numbers(cls, values: Iterable[float]) -> "QuaternionPose":
-        """From x, y, z, qw, qx, qy, qz. Raises InputError unless these are 7 finite numbers."""
+        """From x, y, z, qw, qx, qy, qz. Raises InputError unless these are 7 finite numbers, and
+        the quaternion is not 0.
+        """
         numbers = tuple(float(value) for value in values)
-        if len(numbers) != 7 or not all(map(math.isfinite, numbers)):
-            raise InputError(f"{numbers}, expected x y z, quaternion w x y z")
+        if len(numbers) != 7 or not all(map(math.isfinite, numbers)) or not any(numbers[3:]):
+            raise InputError(f"{numbers}, expected x y z, quaternion w x y z that is not 0")
         return cls(*numbers)
 
     @property
@@ -90,10 +92,17 @@ class Shutter(NamedTuple):
 
     @classmethod
     def from_numbers(cls, values: Iterable[float]) -> "Shutter":
-        """From the four numbers. Raises InputError unless all are finite and none is negative."""
+        """From the four numbers. Raises InputError unless all are finite, none is negative, and
+        they are those of a phase or of a gate, not of both.
+        """
         numbers = tuple(float(value) for value in values)
         if len(numbers) != 4 or not all(0 <= value < math.inf for value in numbers):
             raise InputError(f"{numbers}, expected four finite numbers, none of them negative")
+        if any(numbers[:2]) and any(numbers[2:]):
+            raise InputError(
+                f"{numbers}, expected modulation and phase, or delay and width of a gate: one "
+                "shutter is not both"
+            )
         return cls(*numbers)
 
     @property

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import threading
@@ -285,6 +286,28 @@ def test_a_log_that_is_cut_short_while_it_is_written_is_an_error(
         _, err = ended(process)
     assert process.returncode == 2
     assert "was cut short while it was written" in err
+
+
+def test_records_that_a_full_disk_took_are_not_counted_as_written(
+    firmware: Any, files: list[str | Path], tmp_path: Path
+) -> None:
+    """Where files may not grow beyond 60 kB: no more are stated than can be read, and how many may
+    be lost. What was being written when the disk was full may be whole or not.
+    """
+    run = tmp_path / "run.mcap"
+
+    def small_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+
+    with firmware.running() as path:
+        process = started("capture", path, "-o", run, *files, preexec_fn=small_files)
+        out, err = ended(process)
+    assert process.returncode == 2
+    assert "run.mcap: File too large" in err
+    n = len(list(read_records(run, Ending())))
+    stated = re.search(r"run.mcap: (\d+) records in .*; (\d+) more had come and may not", out)
+    assert stated is not None, out
+    assert 0 < int(stated[1]) <= n < int(stated[1]) + int(stated[2])
 
 
 def test_a_radio_whose_clock_was_set_back_ends_with_the_cause(

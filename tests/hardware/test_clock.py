@@ -54,6 +54,26 @@ def test_clock_that_was_set_is_told_and_found_anew(
     assert f"camera: its clock jumped by {jump_s:.6g} s" in warning
 
 
+def test_a_clock_that_stands_still_before_a_run_is_in_the_stated_error(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """That of a fast virtual device: 0 in 8 exchanges of 0.7 ms, which is told as an error of that
+    and not as a clock that was set. In a run it gains 3 s in 0.25 s, which is told once.
+    """
+    clock, sent = ClockFilter("camera"), 1_700_000_000_000_000_000
+    for _ in range(8):
+        clock.add(sent, 0, 0, sent + 300_000)
+        sent += 700_000
+    assert clock.model is not None
+    assert abs(clock.model.host_ns(0) - (sent - 550_000)) <= clock.model.error_ns < 3e6
+    assert not caplog.records
+    for received in (3_000_000_000, 6_000_000_000, 9_000_000_000):
+        clock.add(sent, received, received, sent + 300_000)
+        sent += 250_000_000
+    (warning,) = (record.message for record in caplog.records)
+    assert "camera: its clock jumped by" in warning
+
+
 @pytest.mark.parametrize("jitter_ns", [0.0, 1e5, 2e6, 2e7])
 @pytest.mark.parametrize("drift", [0.0, 1e-4, -5e-3, 9.9e-3])
 def test_the_stated_error_of_a_clock_holds(drift: float, jitter_ns: float) -> None:

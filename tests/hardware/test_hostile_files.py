@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -15,10 +16,12 @@ import numpy as np
 import pytest
 import zstandard
 from radar_cubes import STEP, Echo, cube
+from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.radio.setup import read_setup
 from hardware.drivers.settings import read_settings
+from hardware.errors import InputError
 from hardware.files import (
     naming,
     one_line,
@@ -37,6 +40,7 @@ from hardware.records import (
     write_radar_record,
     write_record,
 )
+from hardware.records.spi import LAYOUT
 
 #: None of the files below is larger; what they promise is 256 MiB and more.
 _FILE_BYTES, _MEMORY_BYTES = 1 << 18, 1 << 24
@@ -265,6 +269,109 @@ def test_a_compressed_record_is_read(record: SpiRecord, tmp_path: Path) -> None:
         del file["counts"]
         file.create_dataset("counts", data=record.counts, compression="gzip")
     np.testing.assert_array_equal(read_record(path).counts, record.counts)
+
+
+def test_a_bit_that_has_flipped_in_a_record_is_an_error(record: SpiRecord, tmp_path: Path) -> None:
+    """Anywhere in the file: the record is refused, or is the same to the bit."""
+    path = tmp_path / "r.h5"
+    write_record(record, path)
+    intact, written, rng = path.read_bytes(), LAYOUT.arrays, np.random.default_rng(3)
+    counts = intact.find(record.counts.astype("<i4").tobytes())
+    assert counts > 0
+    places = [8 * (counts + 4 * 20 + 1) + 6, *rng.integers(0, 8 * len(intact), 400)]
+    refused = 0
+    for place in map(int, places):
+        flipped = bytearray(intact)
+        flipped[place // 8] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        try:
+            found = read_record(path)
+        except InputError:
+            refused += 1
+            continue
+        for name in written:
+            np.testing.assert_array_equal(getattr(found, name), getattr(record, name))
+        for name in LAYOUT.settings:
+            assert getattr(found, name) == getattr(record, name)
+    assert refused > 100
+
+
+@pytest.mark.parametrize("name", ["counts", "flags", "sequence"])
+def test_numbers_of_more_bits_than_a_records_do_not_wrap(
+    name: str, record: SpiRecord, tmp_path: Path
+) -> None:
+    """2**32 + n of 64 bits is no n of 32, nor of 8."""
+    path = tmp_path / "r.h5"
+    write_record(record, path)
+    with h5py.File(path, "a") as file:
+        wide = file[name][()].astype(np.int64 if name == "counts" else np.uint64)
+        del file[name]
+        file[name] = wide
+    np.testing.assert_array_equal(getattr(read_record(path), name), getattr(record, name))
+    with h5py.File(path, "a") as file:
+        file[name][5] += 2**32
+    with pytest.raises(InputError, match=rf"r\.h5: {name}: \d+ to 429\d+, expected "):
+        read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("electrons_per_count", 1e300),
+        ("offset_counts", "abc"),
+        ("offset_counts", -1e300),
+        ("pulse_width_s", "abc"),
+        ("integration_time_s", 1e300),
+        ("shutters", 3.0),
+        ("shutters", [[1e6, 0.0, 1e-9, 1e-9]]),
+        ("pose", [0.0] * 7),
+    ],
+)
+def test_numbers_that_cannot_be_are_told_with_their_field(
+    name: str, value: Any, record: SpiRecord, tmp_path: Path
+) -> None:
+    """Some had ended in a library's error, or in an overflow of the reconstruction."""
+    path = tmp_path / "r.h5"
+    write_record(record, path)
+    with h5py.File(path, "a") as file:
+        if name in file:
+            del file[name]
+            file[name] = np.array(value)
+        else:
+            file.attrs[name] = value
+    with pytest.raises(InputError, match=rf"r\.h5: {name}: .*, expected "):
+        read_record(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("pose = [1, 2]", r"pose: \(1.0, 2.0\), expected x y z"),
+        ("pose = [0, 0, 0, 0, 0, 0, 0]", "pose: .* that is not 0"),
+        ("pose = 3", "pose: 3, expected a list of 7 numbers"),
+        ('shutters = "x"', "shutters: 'x', expected a list of lists of 4 numbers"),
+        ("shutters = [[1e6, 0, 1e-9, 1e-9]]", "shutters: .* one shutter is not both"),
+    ],
+)
+def test_settings_that_no_camera_may_be_sent_name_their_field(
+    line: str, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        f"integration_time_s = 1e-4\n{line}\n[patterns]\nrows = 8\ncolumns = 8\ncount = 64\n"
+    )
+    with pytest.raises(InputError, match=rf"camera\.toml: {told}"):
+        read_settings(path)
+
+
+def test_a_record_whose_exposures_are_lost_is_told_by_its_name(
+    record: SpiRecord, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.h5"
+    write_record(replace(record, flags=np.full(64, 8, np.uint8)), path)
+    told = ugv("reconstruct", path)
+    assert told.returncode == 2
+    assert f"{path}: flags: exposures are lost" in told.stderr
 
 
 def test_a_full_disk_is_told_by_the_files_name_and_leaves_nothing(

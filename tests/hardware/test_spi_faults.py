@@ -45,6 +45,28 @@ def test_a_line_on_which_no_measurement_comes_ends_with_an_error(
     assert "and none has come whole for" in caplog.text
 
 
+def test_a_device_whose_every_frame_is_refused_ends_with_an_error(
+    firmware: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As one of which no frame comes: a host that waits on would never end."""
+
+    def cut(one: Message) -> Message:
+        if isinstance(one, Measurement):
+            return replace(one, counts=one.counts[:-1], flags=one.flags[:-1])
+        return one
+
+    settings = replace(SETTINGS, pattern_period_s=20e-6)
+    patience = replace(QUICK, reconnect_s=0.5, attempts=2)
+    with firmware.running() as path, bridged(path) as bridge:
+        bridge.spoil = changed(cut)
+        with (
+            SpiCamera(bridge.url, settings, patience=patience) as camera,
+            pytest.raises(DeviceError, match=r"anew 2 times; frame .* exposures and detectors"),
+        ):
+            next(camera.records())
+    assert "every frame was refused for" in caplog.text
+
+
 def test_a_frame_that_is_refused_is_told_with_the_reason(
     firmware: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -63,6 +85,55 @@ def test_a_frame_that_is_refused_is_told_with_the_reason(
     assert all((record.counts < 2**16).all() for record in records)
     (told,) = (one for one in caplog.messages if "refused" in one)
     assert "expected 0 to 65535" in told
+
+
+@pytest.mark.parametrize(
+    ("off_s", "told"),
+    [
+        (-1000.0, "s after it was started, which by its number takes"),
+        (2.0, "to which that has not come when the frame arrives"),
+        (3600.0, "to which that has not come when the frame arrives"),
+    ],
+)
+def test_frames_whose_times_are_not_those_of_the_clock_are_refused(
+    firmware: Any, off_s: float, told: str
+) -> None:
+    """A device that stamps its frames by another clock than the one that it tells: of 128
+    exposures of 20 us there are two frames in 2.6 ms.
+    """
+
+    def shifted(one: Message) -> Message:
+        if isinstance(one, Measurement):
+            return replace(one, time_ns=one.time_ns + round(off_s * 1e9))
+        return one
+
+    settings = replace(SETTINGS, pattern_period_s=20e-6)
+    patience = replace(QUICK, reconnect_s=0.5, attempts=2)
+    with firmware.running() as path, bridged(path) as bridge:
+        bridge.spoil = changed(shifted)
+        with (
+            SpiCamera(bridge.url, settings, patience=patience) as camera,
+            pytest.raises(DeviceError, match=told),
+        ):
+            next(camera.records())
+
+
+def test_a_table_beyond_what_the_device_holds_is_not_sent(firmware: Any) -> None:
+    """128 exposures of 8 bytes, where the device says that it holds 100 bytes."""
+
+    def small(one: Message) -> Message:
+        return replace(one, max_table_bytes=100) if isinstance(one, Identity) else one
+
+    with firmware.running("--fast") as path, bridged(path) as bridge:
+        bridge.spoil = changed(small)
+        settings = replace(SETTINGS, upload=True)
+        with (
+            SpiCamera(bridge.url, settings, patience=QUICK) as camera,
+            pytest.raises(DeviceError, match="a table of 1024 bytes; the device holds at most 100"),
+        ):
+            camera.acquire()
+        with SpiCamera(bridge.url, SETTINGS, patience=QUICK) as camera:
+            camera.acquire()
 
 
 def test_another_device_after_a_reset_is_recorded_as_what_it_is(

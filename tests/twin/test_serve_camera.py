@@ -86,6 +86,28 @@ def test_a_camera_that_is_late_is_waited_for(world) -> None:
         np.testing.assert_array_equal(record.counts, expected.counts)
 
 
+def test_a_fast_camera_whose_records_take_time_answers(world) -> None:
+    """Records of 0.1 s each, which the camera makes itself: a request waits for one, not for all
+    that go to the line together (1.2 s).
+    """
+
+    def slowly(records: Iterator[SpiRecord]) -> Iterator[SpiRecord]:
+        for record in records:
+            time.sleep(0.1)
+            yield record
+
+    with (
+        served(world, pace="fast", frames=slowly) as server,
+        SpiCamera(server.line.url, SETTINGS) as camera,
+    ):
+        waits_s = []
+        for _ in zip(range(3), camera.records(), strict=False):
+            asked_s = time.monotonic()
+            camera.status()
+            waits_s.append(time.monotonic() - asked_s)
+    assert max(waits_s) < 0.5
+
+
 @pytest.mark.parametrize("line", ["pty", "tcp", "rfc2217"])
 def test_camera_and_twin_give_the_same_counts(world, line: str, tmp_path: Path) -> None:
     """100 sets through protocol and driver: counts bit for bit those of the twin directly; and so

@@ -61,7 +61,9 @@ def test_a_radio_that_begins_later_shows_what_the_world_is_like_by_then(scene: S
 
 
 def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> None:
-    """What the camera's server is given for a run begins where the radar has come to."""
+    """What the camera's server is given for a run begins where the radar has come to. At a fast
+    pace too its frames are computed ahead, elsewhere: a camera that computes hears nothing.
+    """
     began: list[Scene] = []
 
     class Frames:
@@ -82,9 +84,14 @@ def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> No
     def virtual_camera(system: System, sun, records, **_: object) -> Iterator[SpiRecord]:
         return records(system)
 
+    class Ahead:
+        def __init__(self, frames: Frames) -> None:
+            self.frames = frames
+
     world = SharedWorld("fast")
     world.begin()
     world.reached(1.25)
+    monkeypatch.setattr(serving, "FramesOfRuns", lambda: Ahead)
     monkeypatch.setattr(serving, "CameraServer", Camera)
     monkeypatch.setattr(serving, "VirtualCamera", virtual_camera)
     system = load_system("workable").with_(
@@ -94,7 +101,7 @@ def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> No
     monkeypatch.setattr(serving.MovingFrames, "__call__", lambda self, number: None)
     serving.serve_camera(scene, system, None, pace="fast", world=world)
     monkeypatch.setattr(serving, "MovingFrames", Frames)
-    given["camera"](None, None)
+    assert isinstance(given["camera"](None, None), Ahead)
     car = [item for item in began[0].objects if item.moves]
     expected = [item for item in scene.after(1.25).objects if item.moves]
     for one, other in zip(car, expected, strict=True):

@@ -14,6 +14,7 @@ from twin.serve.line import Line
 
 _MOST_WAITING = 65536  # bytes that the line has not taken; beyond, frames are dropped
 _MOST_TOGETHER, _TOGETHER = 16, 2048  # frames, and bytes, that go to the line at once
+_DEAF_S = 0.02  # of making frames before the line is read again, a last record apart
 _POLL_S = 0.05
 
 
@@ -75,9 +76,12 @@ class CameraServer:
         waiting = sum(map(len, self._waiting))
         if waiting and self._clock.pace == "fast":
             return 1e-3  # a fast clock waits for the line
+        deaf_until = time.monotonic() + _DEAF_S
         for _ in range(_MOST_TOGETHER):
             due = self.camera.poll()
             if due != 0 or self._reset or sum(map(len, self._waiting)) > _TOGETHER:
+                break
+            if time.monotonic() > deaf_until:  # records take their time: a request may wait
                 break
         self._flush()
         return 1e-3 if self._waiting else due

@@ -4,7 +4,6 @@ import ipaddress
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 from hardware.drivers.radio.setup import write_setup
@@ -181,8 +180,7 @@ def serve_camera(
 
         def records(asked: System) -> Iterator[SpiRecord]:
             now = scene.after(world.begin()) if world else scene
-            frames = MovingFrames(now, asked, seed, fidelity)
-            return map(frames, count()) if pace == "fast" else ahead(frames)
+            return ahead(MovingFrames(now, asked, seed, fidelity))
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
