@@ -41,6 +41,7 @@ from twin.radar.propagation.scene.scattering_models import (
 )
 from twin.radar.propagation.scene.silent import silent_objects
 from twin.radar.propagation.single_paths import mirror_echoes, point_echoes
+from twin.radar.propagation.wall_dispersion import dispersion_errors
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 
@@ -92,7 +93,7 @@ def echoes(
     surfaces = Contributions.concatenate([lit, shadowed])
     levels = body_levels(prepared, radar, fidelity, of_bodies, surfaces)
     decisions = [*on_roughness, *faint_bodies(prepared, radar, levels)]
-    left_out = np.zeros(len(levels.names))
+    left_out = dispersion_errors(scene, prepared, radar, of_bodies.body)
     for decided, missing in (
         further_reflections(levels, fidelity, of_bodies.choice, radar),
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
