@@ -17,6 +17,7 @@ from tests.physics.radar_worlds import (
     wave,
     world,
 )
+from twin.fidelity import Tolerance
 from twin.radar import RadarDesign, load_radar
 from twin.radar.propagation.one_way.internal_reflections import (
     InternalReflections,
@@ -219,3 +220,47 @@ def test_a_sheet_of_declared_thickness_is_a_wall() -> None:
         abs(wave(trace(world(o, target), RADAR, fidelity=OPTICS).echoes)) for o in (closed, sheet)
     ]
     assert 20 * np.log10(level[0] / level[1]) == pytest.approx(0, abs=0.1)
+
+
+def test_a_sheet_is_not_seen_through_itself() -> None:
+    """The radar's own echo in glass 4 mm thick, over that in metal: Airy's reflection at all
+    distances. Where float32 rays met the sheet that they end on, it was up to 5 dB less.
+    """
+    epsilon = permittivity("glass")
+    r = (1 - np.sqrt(epsilon)) / (1 + np.sqrt(epsilon))
+    turn = np.exp(-2j * K * 0.004 * np.sqrt(epsilon))
+    expected = 20 * np.log10(abs(r * (1 - turn) / (1 - r**2 * turn)))
+    for distance in np.append(np.linspace(5, 60, 23), [25.469, 49.245]):
+        metal = plate("p", (distance, 0, 0), 24.0)
+        glass = replace(metal, material="glass", thickness_m=0.004)
+        level = []
+        for mirror in (glass, metal):
+            paths = trace(world(mirror), RADAR, fidelity=OPTICS).paths
+            turns = [CARRIER_HZ * p.delay_s % 1 for p in paths]
+            level.append(abs(np.exp(-2j * np.pi * np.array(turns)) @ [p.amplitude for p in paths]))
+        assert 20 * np.log10(level[0] / level[1]) == pytest.approx(expected, abs=0.02), distance
+
+
+@pytest.mark.parametrize(("material", "depth_m"), [("glass", 0.02), ("wood", 0.04)])
+def test_what_an_absorbing_pane_errs_by_over_the_band_is_stated(
+    material: str, depth_m: float
+) -> None:
+    """Airy's slab with the conductivity of each frequency, over that with the carrier's, squared:
+    8 and 9 % over 4 GHz; half a per cent had been stated.
+    """
+    pane = replace(plate("pane", (3, 0, 0), 4.0, material), thickness_m=depth_m)
+    sharp = Tolerance().knobs().with_(radar_tolerance=0.01)
+    behind, free = (
+        trace(world(*panes, plate("p", (6, 0, 0), 0.1)), RADAR, fidelity=sharp).bodies[0]
+        for panes in ((pane,), ())
+    )
+    frequencies = CARRIER_HZ + np.linspace(-2e9, 2e9, 101)
+    loss = []
+    for carrier in (frequencies, np.full(101, CARRIER_HZ)):
+        own = [permittivity(material, f, c) for f, c in zip(frequencies, carrier, strict=True)]
+        loss.append(slab(np.array(own), depth_m, 0.0, frequencies)[0] ** 2)
+    change = np.abs(loss[0] - loss[1])
+    truth = np.sqrt((change**2).mean() / (np.abs(loss[0]) ** 2).mean())
+    assert 0.07 < truth < 0.1
+    assert truth < behind.estimated_error < truth + 0.03
+    assert free.estimated_error < 0.03

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.diffraction.screens import screens
+from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.screens import Screens, screens
 from twin.radar.propagation.effects_by_bounds import (
     body_levels,
     faint_bodies,
@@ -23,6 +24,7 @@ from twin.radar.propagation.left_out import on_meshes
 from twin.radar.propagation.one_way.motion import target_motion
 from twin.radar.propagation.physical_optics import (
     at_antenna,
+    followed_everywhere,
     loss_of,
     scattered,
     surface_clutter,
@@ -44,6 +46,7 @@ from twin.radar.propagation.scene.scattering_models import (
 )
 from twin.radar.propagation.scene.silent import silent_objects
 from twin.radar.propagation.single_paths import mirror_echoes, point_echoes
+from twin.radar.propagation.wall_dispersion import dispersion_errors
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene, Target
 
@@ -95,7 +98,7 @@ def echoes(
     surfaces = Contributions.concatenate([lit, shadowed])
     levels = body_levels(prepared, radar, fidelity, of_bodies, surfaces)
     decisions = [*on_roughness, *faint_bodies(prepared, radar, levels)]
-    left_out = np.zeros(len(levels.names))
+    left_out = dispersion_errors(scene, prepared, radar, of_bodies.body)
     for decided, missing in (
         further_reflections(levels, fidelity, of_bodies.choice, radar),
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
@@ -107,7 +110,7 @@ def echoes(
     of_edges = at_antenna(edges.echoes, prepared, radar)
     diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])
     diffuse = diffuse.in_proportion_to_wavelength()
-    mirrors = _mirrors(prepared, radar, fidelity)
+    mirrors = _mirrors(scene, roles, prepared, radar, fidelity)
     points = _points(scene, prepared, radar, declared_alone(scene, roles), fidelity)
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
@@ -229,13 +232,35 @@ def _unbounded(fidelity: Fidelity, prepared: PreparedScene) -> tuple[str, ...]:
 
 
 def _mirrors(
-    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity
+    scene: Scene,
+    roles: Sequence[Assignment],
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
 ) -> tuple[list[PathName], Contributions]:
     """The radar's own images: as many reflections as out and back together."""
     if fidelity.radar_images == 0 or len(prepared.flats) == 0:
         return [], Contributions.none()
-    further = prepared.seen_by_itself()
-    return _paths(further, radar, mirror_echoes(further.context), [None], [()])
+    if fidelity.radar_shadow_db <= 0:
+        further = prepared.seen_by_itself()
+        return _paths(further, radar, mirror_echoes(further), [None], [()])
+    faintest = followed_everywhere(fidelity)
+    wavenumber = 2 * np.pi / prepared.wavelength_m
+    further = prepared.seen_by_itself(farthest(faintest) / wavenumber)
+    obstacles = _before_mirrors(scene, radar, roles, fidelity)
+    return _paths(further, radar, mirror_echoes(further, obstacles, faintest), [None], [()])
+
+
+def _before_mirrors(
+    scene: Scene, radar: RadarDesign, roles: Sequence[Assignment], fidelity: Fidelity
+) -> Screens | None:
+    """What may stand before mirrors: all else, if there is any, in a scene of its own."""
+    away = {a.name for a in roles if a.role in (ScatteringModel.SURFACE, ScatteringModel.TARGET)}
+    objects = tuple(item for item in scene.objects if item.name not in away)
+    if not objects:
+        return None
+    alone = prepare_scene(replace(scene, objects=objects), radar, roles, 0)
+    return screens(alone, fidelity.radar_shadow_db)
 
 
 def _points(

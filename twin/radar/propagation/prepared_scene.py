@@ -79,9 +79,11 @@ class PreparedScene:
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
 
-    def seen_by_itself(self) -> "PreparedScene":
-        """The same with the images in which the radar may see itself."""
-        return self.with_images(closed(self.all_images, self.flats))
+    def seen_by_itself(self, more_m: float = 0.0) -> "PreparedScene":
+        """The same with the images in which the radar may see itself, also over the border of one
+        mirror by ways that are longer by up to ``more_m``.
+        """
+        return self.with_images(closed(self.all_images, self.flats, more_m))
 
     def with_images(self, images: Sequence[Image]) -> "PreparedScene":
         """The same with other images."""

@@ -5,18 +5,26 @@ against.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
-from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, unsure_m
+from twin.radar.propagation.diffraction.blocking import first_between
+from twin.radar.propagation.diffraction.mirrors import (
+    BEFORE_MIRROR,
+    border_waves,
+    passed_twice,
+)
+from twin.radar.propagation.diffraction.rims import DiffractedPaths, is_strong, matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.images import Image
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
 from twin.scene import Target
@@ -28,16 +36,75 @@ _ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a 
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
-def mirror_echoes(context: TracingContext) -> Contributions:
+def mirror_echoes(
+    prepared: PreparedScene, obstacles: Screens | None = None, faintest: float = 0.0
+) -> Contributions:
     """Echoes of the radar's own mirror images: amplitude per wavelength, no object.
 
     Over images of any order: wall, wall and ground, and so on. The image in a right-angled corner
     lies exactly behind the corner, at the border between both sequences of its mirrors: each counts
     half, as does any path at the border of visibility.
+
+    With ``faintest`` above 0, echoes of one mirror hold the waves of its border, down to that share
+    of an echo, and what ``obstacles`` do, which are of the scene without large surfaces.
+    """
+    if prepared.context.n_sources == 1:
+        return Contributions.none()
+    echoes, share = _whole_mirrors(prepared.context)
+    parts, factor = [], share.astype(np.complex128)
+    for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
+        if len(image.patches) > 1:
+            continue
+        border = border_waves(prepared, image, faintest)
+        factor[row] = _lit(border, factor[row])
+        flat = prepared.flats[image.patches[0]]
+        if obstacles is not None and (passed := passed_twice(obstacles, flat)) is not None:
+            factor[row] = passed * _is_met(prepared, image)
+            border = replace(border, amplitude=border.amplitude * passed)
+        parts.append(_over_border(echoes.take(np.full(len(border.point), row)), border, prepared))
+    some = np.flatnonzero(factor)
+    whole = echoes.take(some)
+    whole = replace(whole, amplitude=whole.amplitude * factor[some])
+    return Contributions.concatenate([whole, *parts])
+
+
+def _lit(border: DiffractedPaths, share: complex) -> complex:
+    """Of a mirror's echo what is there without its border's waves: all or nothing next to these."""
+    close = np.flatnonzero(np.abs(border.lit_m) <= unsure_m(border.stops[:, 0]))
+    return float((border.lit_m[close] > 0).all()) if len(close) else share
+
+
+def _is_met(prepared: PreparedScene, image: Image) -> bool:
+    """Whether the radar's way to itself by one mirror meets it, and no other mirror before, if
+    nothing but mirrors is there.
+    """
+    here = image.places[:1]
+    foot = (here + image.place) / 2
+    first = first_between(prepared, here, here + BEFORE_MIRROR * (foot - here))
+    blocked = first[0] in prepared.flats.object
+    return prepared.flats.covers(image.patches[0], foot[0]) and not blocked
+
+
+def _over_border(
+    echoes: Contributions, border: DiffractedPaths, prepared: PreparedScene
+) -> Contributions:
+    """Waves of a mirror's border, (n,), from its echo as often."""
+    towards = border.stops[:, 0] - prepared.images[0].place
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return replace(
+        echoes,
+        amplitude=echoes.amplitude * border.amplitude,
+        delay_s=echoes.delay_s + border.longer_m / speed_of_light,
+        departure=towards,
+        arrival=towards,
+    )
+
+
+def _whole_mirrors(context: TracingContext) -> tuple[Contributions, Array]:
+    """Echoes of images, (n,), of mirrors without border and with nothing before them, and the share
+    of each that is met and clear.
     """
     count = context.n_sources - 1
-    if count == 0:
-        return Contributions.none()
     here, source = np.array(context.place).ravel(), 1 + np.arange(count)
     from_image = here - np.array(context.positions).reshape(-1, 3)[source]
     aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(from_image, _OBLIQUE)).reshape(-1, 3)
@@ -53,14 +120,14 @@ def mirror_echoes(context: TracingContext) -> Contributions:
         [turned(context.vertical, -context.boresight, vector(context.mi, exact.back, "Vector3d"))],
         count,
     )
-    amplitude = share / (4 * np.pi * exact.length) * np.sum(nearest.field * polarization, axis=1)
+    amplitude = 1 / (4 * np.pi * exact.length) * np.sum(nearest.field * polarization, axis=1)
     none = np.zeros(count, dtype=np.uint32)
     own, faster, _ = (part[0] for part in context.motions.on_host())
     motion = own - exact.velocity, -exact.back, exact.length
     rate, acceleration = lengthening(*motion, faster - exact.acceleration)
     aside = turning(*motion)
     departing = aside + np.cross(exact.spin, exact.back)
-    return Contributions(
+    whole = Contributions(
         amplitude=amplitude,
         delay_s=(exact.length + nearest.extra) / speed_of_light,
         delay_rate=rate / speed_of_light,
@@ -72,7 +139,8 @@ def mirror_echoes(context: TracingContext) -> Contributions:
         receiver=none,
         departure_per_s=np.einsum("nij,nj->ni", exact.axes, departing),
         arrival_per_s=-aside,
-    ).take(np.flatnonzero(share))
+    )
+    return whole, share
 
 
 @dataclass(frozen=True)

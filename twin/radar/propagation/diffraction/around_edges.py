@@ -282,10 +282,15 @@ def _groups(rows: Indices, own: Indices) -> list[Indices]:
     return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
 
 
+def unsure_m(places: Array) -> Array:
+    """How near to edges at places (n, 3) float32 rays may err."""
+    unsure: Array = _UNSURE_M * (1 + 0.1 * np.linalg.norm(places, axis=1))
+    return unsure
+
+
 def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
     """Direct paths so close to an edge that float32 rays may err are clear on its lit side only."""
-    unsure = _UNSURE_M * (1 + 0.1 * np.linalg.norm(paths.stops[:, 0], axis=1))
-    close = np.abs(paths.lit_m) <= unsure
+    close = np.abs(paths.lit_m) <= unsure_m(paths.stops[:, 0])
     clear[paths.point[close]] = True
     clear[paths.point[close & (paths.lit_m <= 0)]] = False
 

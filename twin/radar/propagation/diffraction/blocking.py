@@ -50,11 +50,11 @@ def blocker(prepared: PreparedScene, chain: Array, off: Array) -> Indices:
     for k in range(len(chain) - 1):
         rows = np.flatnonzero(what == NOTHING)
         begin = chain[k, rows] + (off[rows] if k == 0 else 0)
-        what[rows] = _first_between(prepared, begin, chain[k + 1, rows])
+        what[rows] = first_between(prepared, begin, chain[k + 1, rows])
     return what
 
 
-def _first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices:
+def first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices:
     """Number of the object that rays from points to others (n, 3) first meet, -1: none."""
     if not len(begin):
         return np.zeros(0, dtype=np.int64)  # the engine aborts the process on none
@@ -73,4 +73,4 @@ def _first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices
 
 def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
     """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
-    return _first_between(prepared, places + off, np.broadcast_to(source, places.shape))
+    return first_between(prepared, places + off, np.broadcast_to(source, places.shape))

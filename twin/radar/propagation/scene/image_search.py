@@ -130,13 +130,13 @@ def images(
     return Found(images_so_far, left_out, False)
 
 
-def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
+def closed(images: Sequence[Image], flats: Flats, more_m: float = 0.0) -> list[Image]:
     """The radar, and its images of up to twice the order in which it may see itself.
 
     The path of such an echo is the path of one image up to its middle, and of another one from the
     radar's side; so only sequences of one image's patches and another's reversed are tried. In the
     mirrored world the path is a straight line: it must pass through every patch's window, or close
-    beside it.
+    beside it. ``more_m``: by how much waves over the border of one mirror alone may be longer.
     """
     closure = list(images[:1])
     for longer, shorter in _halves(images):
@@ -145,7 +145,8 @@ def closed(images: Sequence[Image], flats: Flats) -> list[Image]:
         last = last.reshape(len(shorter), -1)
         for patches in first:
             sequences = np.hstack([np.tile(patches, (len(last), 1)), last])
-            places, passes = _places(sequences, images[0].place, flats)
+            longer_m = more_m if sequences.shape[1] == 1 else 0.0
+            places, passes = _places(sequences, images[0].place, flats, longer_m)
             closure += [
                 Image(tuple(sequences[k].tolist()), places[k]) for k in np.flatnonzero(passes)
             ]
@@ -166,9 +167,11 @@ def _halves(images: Sequence[Image]) -> list[tuple[list[Image], list[Image]]]:
     ]
 
 
-def _places(sequences: Indices, radar: Array, flats: Flats) -> tuple[Array, NDArray[np.bool_]]:
+def _places(
+    sequences: Indices, radar: Array, flats: Flats, more_m: float
+) -> tuple[Array, NDArray[np.bool_]]:
     """Images after each reflection, (n, m + 1, 3), and whether the path from the last one to the
-    radar passes through all patches.
+    radar passes through all patches, or one longer by ``more_m`` does.
     """
     places = [np.tile(radar, (len(sequences), 1))]
     twice = np.zeros(len(sequences), dtype=bool)
@@ -186,7 +189,8 @@ def _places(sequences: Indices, radar: Array, flats: Flats) -> tuple[Array, NDAr
             t = np.sum((point - at) * normal, axis=1) / slope
         passes &= (t > -_ASIDE) & (t < 1 + _ASIDE)
         at = at + np.where(passes, t, 0.0)[:, None] * towards
-        margin = (_ASIDE * whole)[:, None]
+        zone = np.sqrt(more_m * (2 * whole + more_m)) / 2
+        margin = np.maximum(_ASIDE * whole, zone)[:, None]
         box = flats.box[number]
         passes &= ((at >= box[:, 0] - margin) & (at <= box[:, 1] + margin)).all(axis=1)
     return np.stack(places, axis=1), passes

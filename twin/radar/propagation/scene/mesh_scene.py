@@ -187,6 +187,12 @@ class Flats:
         low = np.minimum.reduceat(at.min(axis=1), begin[:-1])
         return np.stack([low, np.maximum.reduceat(at.max(axis=1), begin[:-1])], axis=1)
 
+    def covers(self, number: int, place: Array) -> bool:
+        """Whether a place in the plane of a patch is on one of its triangles."""
+        corners = self.corners[self.first[number] : self.first[number + 1]] - place
+        sides = np.cross(corners, np.roll(corners, -1, axis=1)) @ self.normal[number]
+        return bool(((sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)).any())
+
     def samples(self, numbers: NDArray[np.int64], which: NDArray[np.int64], count: int) -> Array:
         """Of ``count`` points spread over each of some patches those asked for, (n, m, 3)."""
         rows, begin = self._rows(numbers)

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 OPAQUE_DB = 40.0
 _CROSSINGS = 4  # faces on a segment: two closed walls
 _COLUMNS = 8
+_CLEARANCE = 4e-6  # of the distance from the anchor: some 30 steps of float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +112,12 @@ def cross(
     at, rest = mi.Vector3d(begin), mi.Float64(segment)
     entry, entry_cosine, inside = mi.Float64(0), mi.Float64(1), mi.Bool(False)
     travelled = mi.Float64(0)
+    at_end = _clearance(at + rest * direction)
     active = mi.Bool(active)
     for _ in range(_CROSSINGS):
-        step = 4e-6 * (dr.norm(at) + 1e-3)
-        start = at + direction * step
-        ray = mi.Ray3f(
-            mi.Point3f(start), mi.Vector3f(direction), mi.Float(rest - 2 * step), 0.0, []
-        )
+        step = _clearance(at)
+        start, reach = at + direction * step, mi.Float(rest - step - at_end)
+        ray = mi.Ray3f(mi.Point3f(start), mi.Vector3f(direction), reach, 0.0, [])
         hit = through.mesh.scene.ray_intersect_preliminary(ray, active=active)
         active &= hit.is_valid()
         normal, distance = plane(mi, through.mesh, hit.prim_index, at, direction, active)
@@ -138,6 +138,11 @@ def cross(
         entry_cosine = dr.select(enters, cosine, entry_cosine)
         inside = enters
     return field
+
+
+def _clearance(place: Vector3) -> Real:
+    """How far from a surface at a place float32 rays start and end so as not to cross it."""
+    return _CLEARANCE * (dr.norm(place) + 1e-3)
 
 
 def _through_slab(

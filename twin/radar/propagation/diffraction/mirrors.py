@@ -1,0 +1,123 @@
+"""What a mirror's border, and what stands before it, do to the radar's own echo in the mirror.
+
+The echo of one mirror is a wave that passes two screens on its straight way to the radar's image:
+what stands before the mirror, and the image of that. Kirchhoff's integral over the plane between
+them, the mirror's, is that of the square of the wave that arrives there round the obstacles: by
+reciprocity it goes home as it came. The mirror's own border is an opening in that plane, whose rim
+adds edge waves as that of an obstacle does.
+
+Left out are waves that run to and fro between an obstacle and the mirror, how the factor of
+obstacles changes over the band, and how obstacles and the border act together: their factors are
+multiplied.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfc
+
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, is_near_edges
+from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
+from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
+from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.rows import lengths
+from twin.radar.propagation.scene.images import Image, in_plane, mirrored
+from twin.radar.propagation.scene.mesh_scene import Flat
+
+Array = NDArray[np.float64]
+
+_IN_PLANE = 1e-6  # of the distance: by which corners of a flat patch are off its plane
+#: Of the way to a mirror: where rays end before it, and behind its border.
+BEFORE_MIRROR, _BEYOND = 1 - 1e-4, 1 + 1e-4
+#: In radii of the first Fresnel zone on the mirror: how far the integral goes, over how much it
+#: fades out, and the spacing of its points, which is 1e-4 off where obstacles stand no nearer to
+#: the mirror than three tenths of its distance, and finer as shadows are sharper.
+_REACH, _FADE, _SPACING = 3.0, 0.6, 0.1
+_FAR_OFF, _FINEST = 0.3, 0.3
+_BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that labels stand before
+_ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
+
+
+def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> DiffractedPaths:
+    """Waves from the free border of an image's only mirror, over the mirror's echo.
+
+    Where another surface goes on beside it, as at a seam or above the ground, the border is none.
+    """
+    (number,) = image.patches
+    here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
+    rim = _border(prepared, number, image.place)
+    paths = rim_paths(rim, image.place, here[None], wavenumber, faintest)
+    inside, outside = (paths.stops[:, 0] + s * paths.aside[:, 0] for s in (1, -1))
+    begin = np.broadcast_to(here, inside.shape)
+    is_free = first_between(prepared, begin, here + BEFORE_MIRROR * (inside - here)) == NOTHING
+    is_free &= first_between(prepared, begin, here + _BEYOND * (outside - here)) == NOTHING
+    return paths.take(is_free & (np.abs(paths.amplitude) >= faintest))
+
+
+def _border(prepared: PreparedScene, number: int, source: Array) -> Outline:
+    """Edges of one triangle alone of a patch, as seen from a source, with the patch as opening."""
+    flat = prepared.flats[number]
+    item = prepared.originals[flat.object]
+    points, place = np.unique(item.vertices_m - prepared.anchor_m, axis=0, return_inverse=True)
+    faces = place.reshape(-1)[item.geometry.faces]
+    off = np.abs((points - flat.point) @ flat.normal)
+    tolerance = _IN_PLANE * (1 + np.linalg.norm(points - flat.point, axis=1))
+    faces = faces[(off <= tolerance)[faces].all(axis=1)]
+    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    pairs, first, count = np.unique(
+        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    corners, first = pairs[count == 1], first[count == 1]
+    within = points[faces[:, [2, 0, 1]].reshape(-1)[first]] - source
+    ends = points[corners] - source
+    lit = np.cross(ends[:, 0], ends[:, 1])
+    lit *= np.sign(np.sum(lit * (within - ends[:, 0]), axis=1, keepdims=True))
+    lit /= np.maximum(lengths(lit), 1e-300)[:, None]
+    return Outline.of(ends, np.arange(len(ends)), corners, lit)
+
+
+def passed_twice(obstacles: Screens, flat: Flat) -> complex | None:
+    """The radar's echo in an infinite mirror behind obstacles over that without them; None where no
+    edge of theirs is near.
+
+    ``obstacles`` are those of a scene without large surfaces.
+    """
+    prepared = obstacles.prepared
+    alone = prepared.images[0]
+    here, wavenumber = alone.place, obstacles.wavenumber
+    foot = here + _BEHIND * (mirrored(here, flat) - here) / 2
+    distance_m = float(np.linalg.norm(foot - here))
+    zone_m = np.sqrt(np.pi * distance_m / wavenumber)
+    if not is_near_edges(obstacles, alone, foot, zone_m, _ALL):
+        return None
+    off = np.abs((obstacles.boxes - flat.point) @ flat.normal).min()
+    finer = np.clip(np.sqrt(off / distance_m / _FAR_OFF), _FINEST, 1)
+    half = int((_REACH + 3 * _FADE) / (_SPACING * finer))
+    steps = np.arange(-half, half + 1) * _SPACING * finer
+    u, v = (part.ravel() for part in np.meshgrid(steps, steps))
+    from_foot = np.hypot(u, v)
+    some = from_foot <= _REACH + 3 * _FADE
+    u, v, from_foot = (part[some] for part in (u, v, from_foot))
+    axes = [axis[0] for axis in in_plane(flat.normal[None])]
+    places = foot + zone_m * (np.multiply.outer(u, axes[0]) + np.multiply.outer(v, axes[1]))
+    weight = erfc((from_foot - _REACH) / _FADE) * np.exp(
+        -2j * wavenumber * (lengths(places - here) - distance_m)
+    )
+    once = _arriving(obstacles, places)
+    return complex((weight * once**2).sum() / weight.sum())
+
+
+def _arriving(obstacles: Screens, places: Array) -> NDArray[np.complex128]:
+    """The wave at points (n, 3), straight and round obstacles, over that without them."""
+    still = np.zeros_like(places)
+    group = np.full(len(places), _ALL)
+    found = all_paths_to_points(obstacles.prepared.context, obstacles, 0, places, still, group)
+    wave = np.zeros(len(places), dtype=np.complex128)
+    if (bent := found.diffracted) is None:
+        wave[found.point] = 1
+        return wave
+    wave[found.point[: len(found.point) - len(bent.point)]] = 1
+    turn = np.exp(-1j * obstacles.wavenumber * bent.longer_m)
+    np.add.at(wave, bent.point, bent.amplitude * turn)
+    return wave
