@@ -74,7 +74,7 @@ def test_the_radar_sees_itself_over_the_same_mirrors_as_over_all_images(monkeypa
     assert len(once.images) < len(whole.images)
     found = []
     for one in (once, whole):
-        rays = mirror_echoes(one)
+        rays, _ = mirror_echoes(one)
         heard = np.flatnonzero(np.abs(rays.amplitude))
         found.append(
             sorted((one.via(int(rays.source[k])), rays.delay_s[k]) for k in heard.tolist())

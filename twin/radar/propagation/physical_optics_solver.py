@@ -38,6 +38,7 @@ from twin.radar.propagation.roughness import (
     smooth_surfaces,
 )
 from twin.radar.propagation.scene.image_search import MANY_IMAGES
+from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
     ScatteringModel,
@@ -148,6 +149,7 @@ def echoes(
             *silent_objects(scene, radar, roles),
             *absorbing_surfaces(scene, radar, rough),
             *smooth_surfaces(scene, radar, roles, fidelity),
+            *mirrors[2],
         ),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
@@ -237,18 +239,36 @@ def _mirrors(
     prepared: PreparedScene,
     radar: RadarDesign,
     fidelity: Fidelity,
-) -> tuple[list[PathName], Contributions]:
-    """The radar's own images: as many reflections as out and back together."""
+) -> tuple[list[PathName], Contributions, tuple[str, ...]]:
+    """The radar's own images: as many reflections as out and back together; and a warning."""
     if fidelity.radar_images == 0 or len(prepared.flats) == 0:
-        return [], Contributions.none()
+        return [], Contributions.none(), ()
     if fidelity.radar_shadow_db <= 0:
         further = prepared.seen_by_itself()
-        return _paths(further, radar, mirror_echoes(further), [None], [()])
+        return *_paths(further, radar, mirror_echoes(further)[0], [None], [()]), ()
     faintest = followed_everywhere(fidelity)
     wavenumber = 2 * np.pi / prepared.wavelength_m
-    further = prepared.seen_by_itself(farthest(faintest) / wavenumber)
+    further = _heard_mirrors(prepared.seen_by_itself(farthest(faintest) / wavenumber), radar)
     obstacles = _before_mirrors(scene, radar, roles, fidelity)
-    return _paths(further, radar, mirror_echoes(further, obstacles, faintest), [None], [()])
+    traced, crowded = mirror_echoes(further, obstacles, faintest)
+    warned: tuple[str, ...] = ()
+    if crowded:
+        warned = (
+            f"the radar's own mirror echo in {', '.join(dict.fromkeys(crowded))} is there or not, "
+            "by one ray: too many edges stand near that ray for their diffraction",
+        )
+    return *_paths(further, radar, traced, [None], [()]), warned
+
+
+def _heard_mirrors(prepared: PreparedScene, radar: RadarDesign) -> PreparedScene:
+    """Without images in single mirrors towards which the antenna has no gain, as in the ground."""
+
+    def is_heard(image: Image) -> bool:
+        towards = image.place - image.places[0]
+        towards = towards / max(float(np.linalg.norm(towards)), 1e-300)
+        return bool(radar.antenna.gain(towards[None] @ prepared.axes.T)[0] > 0)
+
+    return prepared.with_images([i for i in prepared.images if len(i.patches) != 1 or is_heard(i)])
 
 
 def _before_mirrors(

@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, is_near_edges
+from twin.radar.propagation.diffraction.around_edges import (
+    Segment,
+    all_paths_to_points,
+    is_near_edges,
+)
 from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
 from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
 from twin.radar.propagation.diffraction.screens import Screens
@@ -36,6 +40,9 @@ BEFORE_MIRROR, _BEYOND = 1 - 1e-4, 1 + 1e-4
 _REACH, _FADE, _SPACING = 3.0, 0.6, 0.1
 _FAR_OFF, _FINEST = 0.3, 0.3
 _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that labels stand before
+#: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
+#: the limit.
+_MOST_PAIRS = 2**19
 _ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
 
 
@@ -79,7 +86,7 @@ def _border(prepared: PreparedScene, number: int, source: Array) -> Outline:
 
 def passed_twice(obstacles: Screens, flat: Flat) -> complex | None:
     """The radar's echo in an infinite mirror behind obstacles over that without them; None where no
-    edge of theirs is near.
+    edge of theirs is near, NaN where too many are.
 
     ``obstacles`` are those of a scene without large surfaces.
     """
@@ -101,11 +108,21 @@ def passed_twice(obstacles: Screens, flat: Flat) -> complex | None:
     u, v, from_foot = (part[some] for part in (u, v, from_foot))
     axes = [axis[0] for axis in in_plane(flat.normal[None])]
     places = foot + zone_m * (np.multiply.outer(u, axes[0]) + np.multiply.outer(v, axes[1]))
+    if len(places) * _edges(obstacles, foot, _REACH * zone_m) > _MOST_PAIRS:
+        return complex(np.nan)
     weight = erfc((from_foot - _REACH) / _FADE) * np.exp(
         -2j * wavenumber * (lengths(places - here) - distance_m)
     )
     once = _arriving(obstacles, places)
     return complex((weight * once**2).sum() / weight.sum())
+
+
+def _edges(obstacles: Screens, foot: Array, radius_m: float) -> int:
+    """How many edges of obstacles are near paths to within a sphere."""
+    segment = Segment(obstacles, obstacles.prepared.images[0], 0, foot[None], np.zeros((1, 3)))
+    items = segment.near_any(np.ones(1, dtype=bool), radius_m)
+    first = np.zeros(1, dtype=np.int64)
+    return sum(len(segment.rim(item, first, _ALL, radius_m).ends) for item in items)
 
 
 def _arriving(obstacles: Screens, places: Array) -> NDArray[np.complex128]:
