@@ -155,16 +155,16 @@ class RequestClient:
 
     def clock_has_come_to(self, device_ns: int) -> bool:
         """Whether the device's clock has, by its latest answer and the time since; where these do
-        not allow it, the device is asked. True where it was reset meanwhile. Raises as `ask`.
+        not allow it, the device is asked. True where it was reset meanwhile: what it sent before
+        is of a clock that is gone. Raises as `ask`.
         """
-        told_ns = 0
         if self._told_ns is not None:
             asked_ns, told_ns = self._told_ns
             since_ns = max(time.time_ns() - asked_ns, 0) * (1 + MOST_DRIFT)
             if device_ns <= told_ns + since_ns:
                 return True
-        now_ns = self.ask(self._time(), TimeReply).sent_ns
-        return device_ns <= now_ns or now_ns < told_ns
+        now = self.status()
+        return bool(now.booted) or device_ns <= now.time_ns
 
     def next(self, silence_s: float) -> Measurement | Status | None:
         """Next message of a run; None after a silence, or when it is over."""
