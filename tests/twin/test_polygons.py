@@ -143,9 +143,13 @@ def test_convex_polygons_stay_fans(tmp_path: Path) -> None:
 
 BOW_TIE = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0.0]])
 PENTAGRAM = np.array([[np.cos(a), np.sin(a), 1.0] for a in 0.8 * np.pi * np.arange(5)])
+# Edges that cross in a corner which both have.
+KNOTTED = np.array([[0, 0, 0], [1, 1, 0], [2, 2, 0], [2, 0, 0], [1, 1, 0], [0, 2, 0.0]])
+# There and back without any area, around which a fan would cover some.
+SPIKES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 0, 0.0]])
 
 
-@pytest.mark.parametrize("corners", [BOW_TIE, PENTAGRAM])
+@pytest.mark.parametrize("corners", [BOW_TIE, PENTAGRAM, KNOTTED, SPIKES])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_polygon_whose_edges_cross_is_refused(corners: Array, kind: str, tmp_path: Path) -> None:
     path = written(corners, [list(range(len(corners)))], kind, tmp_path)

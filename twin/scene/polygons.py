@@ -7,6 +7,7 @@ turns the polygon's way round. A fan of any other polygon covers what lies outsi
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from mapbox_earcut import triangulate_float64
 from numpy.typing import NDArray
 
 from twin.files import InputError
@@ -34,9 +35,9 @@ def splits(
         corners_m = vertices_m[np.array([polygons[number] for number in numbers])]
         for place in np.flatnonzero(~_are_filled_by_fans(corners_m)):
             number = numbers[place]
-            if (ears := _ears(corners_m[place])) is None:
+            if (triangles := _filling(corners_m[place])) is None:
                 raise InputError(f"{name(number)}: edges of the polygon cross each other")
-            made[number] = ears
+            made[number] = triangles
     return made
 
 
@@ -60,30 +61,26 @@ def _are_filled_by_fans(corners_m: Array) -> NDArray[np.bool_]:
     return np.asarray(empty | ((along >= least[:, None]).all(axis=1) & whole.any(axis=1)))
 
 
-def _ears(corners_m: Array) -> Triangles | None:
-    """Ear clipping: corners that nothing else of the polygon reaches into are cut off one by one.
-    None where edges cross.
+def _filling(corners_m: Array) -> Triangles | None:
+    """Triangles as earcut cuts them off; None where edges cross or the triangles do not cover the
+    area of the polygon, as earcut also splits what is no simple polygon.
 
     A polygon that is not plane is split as it looks along its mean normal. Edges may touch, as
-    those do that lead to a hole and back.
-
-    G. H. Meisters, "Polygons have ears", American Mathematical Monthly 82, 648 (1975).
+    those do that lead to a hole and back. Earcut may leave out a corner on the line between its
+    neighbours.
     """
     flat = _in_its_plane(corners_m)
     touch = _TOUCH * float(np.ptp(flat, axis=0).max()) ** 2
     if _edges_cross(flat, touch):
         return None
-    left, made = list(range(len(flat))), Triangles()
-    while len(left) > 2:
-        here = next((i for i in range(len(left)) if _is_ear(flat, left, i, touch)), None)
-        if here is not None:
-            made.append((left[here - 1], left[here], left[(here + 1) % len(left)]))
-        else:  # a corner on the line between its neighbours takes no area with it
-            here = int(np.argmin(np.abs(_turns(flat[left]))))
-            if abs(_turns(flat[left])[here]) > touch:
-                return None
-        del left[here]
-    return made or fan(len(flat))
+    made = triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).reshape(-1, 3)
+    triangles = made.tolist() or fan(len(flat))
+    a, b, c = np.moveaxis(flat[np.array(triangles)], 1, 0)
+    twice_covered = np.abs(_cross(b - a, c - a)).sum()
+    twice_whole = abs(_cross(flat, np.roll(flat, -1, axis=0)).sum())
+    if abs(twice_covered - twice_whole) > len(flat) * touch:
+        return None
+    return [(i, j, k) for i, j, k in triangles]
 
 
 def _in_its_plane(corners_m: Array) -> Array:
@@ -102,23 +99,6 @@ def _in_its_plane(corners_m: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _turns(flat: Array) -> Array:
-    """(k,): twice the area of each corner with its neighbours, positive to the left."""
-    return _cross(flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat)
-
-
-def _is_ear(flat: Array, left: list[int], here: int, touch: float) -> bool:
-    a, b, c = (flat[left[i]] for i in (here - 1, here, (here + 1) % len(left)))
-    if _cross(b - a, c - b) <= touch:
-        return False
-    others = flat[left]
-    inside = np.ones(len(others), dtype=np.bool_)
-    for one, next_one in ((a, b), (b, c), (c, a)):
-        inside &= _cross(next_one - one, others - one) >= -touch
-        inside &= ((others - one) ** 2).sum(axis=1) > touch  # the corner itself, or one upon it
-    return not inside.any()
 
 
 def _edges_cross(flat: Array, touch: float) -> bool:
