@@ -29,7 +29,7 @@ class Acquisition(Strict):
     """From the beginning of one exposure to the next; not below the integration time."""
     n_patterns: Sourced[Count]
     """Patterns shown; as many as there are cells make a complete Hadamard set."""
-    order: Sourced[Literal[Order, "raster"]]
+    order: Sourced[Order | Literal["raster"]]
     """Which Hadamard patterns come first, see `hardware.patterns.orders`; does not count with
     `patterns`. `raster`: one cell after another, as a scanning LIDAR lights them, `plain` (gates in
     which no echo falls tell the background) or `differential` (an exposure in the dark after each

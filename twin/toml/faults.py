@@ -99,7 +99,8 @@ def _place(fault: Any, model: type[BaseModel], content: Any) -> tuple[Any, ...]:
         return place
     for part in place[:-1]:
         content = content.get(part) if isinstance(content, Mapping) else None
-    return place[:-1] if content is not None and content is fault["input"] else place
+    is_type = content is not None and content is fault["input"]
+    return place[:-1] if is_type or "[" in str(place[-1]) else place
 
 
 def _length_of(fault: Any, model: type[BaseModel]) -> int | None:
