@@ -20,7 +20,7 @@ from hardware.drivers.request_client import RequestClient
 from hardware.drivers.settings import SpiSettings
 from hardware.drivers.table import table_bytes
 from hardware.errors import DeviceError
-from hardware.records.spi import LEAST_NUMBER, MOST_NUMBER
+from hardware.records.spi import LEAST_NUMBER, MOST_ELECTRONS, MOST_NUMBER
 
 
 def identify(device: RequestClient) -> Identity:
@@ -106,7 +106,7 @@ def _fault(configured: Configured, identity: Identity, exposures: int, size: int
         # Device times are whole ns in 64 bits.
         ("pattern_period_s", (LEAST_NUMBER, MOST_NUMBER / max(configured.exposures, 1))),
         ("integration_time_s", (LEAST_NUMBER, configured.pattern_period_s)),
-        ("electrons_per_count", (LEAST_NUMBER, MOST_NUMBER)),
+        ("electrons_per_count", (LEAST_NUMBER, MOST_ELECTRONS)),
         ("offset_counts", (-MOST_NUMBER, MOST_NUMBER)),
     ):
         least, largest = expected

@@ -235,8 +235,8 @@ def _of_unsmoothed(
     """
     if of_most is None or sensing.count < sensing.n_cells:
         return of_most
-    least = np.maximum(measured.noise_variance, np.finfo(float).tiny)
-    grown = error * np.sqrt(measured.most_noise_variance / least)
+    told, most = measured.noise_variance, measured.most_noise_variance
+    grown = error * np.sqrt(np.divide(most, told, out=np.ones_like(most), where=told > 0))
     return np.where(measured.noise_told, of_most, np.fmax(of_most, grown))
 
 

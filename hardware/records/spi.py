@@ -19,6 +19,7 @@ Array = NDArray[np.int64]
 
 #: Times (s) and factors of a camera below and above these are none: their squares are numbers.
 LEAST_NUMBER, MOST_NUMBER = 1e-150, 1e9
+MOST_ELECTRONS = 1e15  # of a count
 
 _BY_EXPOSURE = ("counts", "device_time_ns", "sequence", "flags")
 
@@ -105,9 +106,8 @@ class SpiRecord(Described):
         if not (self.flags & Flag.RESET).any():
             check_order(*self._times_of_patterns((self.flags & Flag.LOST) == 0))
         container.check_positive(self, "integration_time_s", "electrons_per_count")
-        container.check_between(
-            self, LEAST_NUMBER, MOST_NUMBER, "integration_time_s", "electrons_per_count"
-        )
+        container.check_between(self, LEAST_NUMBER, MOST_NUMBER, "integration_time_s")
+        container.check_between(self, LEAST_NUMBER, MOST_ELECTRONS, "electrons_per_count")
         container.check_between(self, -MOST_NUMBER, MOST_NUMBER, "offset_counts")
         if not np.isfinite(self.pose).all():
             raise InputError("pose: a value is no number")

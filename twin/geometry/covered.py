@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.geometry.coplanar import TOUCHING
 from twin.geometry.faces import lengths
 from twin.geometry.geometry import Geometry
@@ -27,12 +28,12 @@ def covered(geometry: Geometry, face: Indices, covers_m: Array) -> tuple[Geometr
     """The mesh with what some triangles (n, 3, 3) in its frame cover of a ``face`` (n,) each, and
     the face of which each of its faces is a part, in order.
 
-    Raises ValueError where that are more than `MOST_CUT` which cover faces in part.
+    Raises InputError where that are more than `MOST_CUT` which cover faces in part.
     """
     whole = np.unique(face[_holds(covers_m, geometry.corners_m[face])])
     in_part = np.flatnonzero(~np.isin(face, whole))
     if len(in_part) > MOST_CUT:
-        raise ValueError(f"{len(in_part)} pairs of faces, expected at most {MOST_CUT}")
+        raise InputError(f"{len(in_part)} pairs of faces, expected at most {MOST_CUT}")
     is_covered = geometry.shape.is_double.copy()
     is_covered[whole] = True
     cut = np.unique(face[in_part])

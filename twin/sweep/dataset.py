@@ -164,8 +164,8 @@ def dataset(
 
 def _void_columns(study: Study, metric: str) -> list[str]:
     """Columns that say where a metric means nothing; a user's own may be of both devices."""
-    if study.model == "closed-form":
-        return [VOID["camera"]]
+    if study.model == "closed-form":  # rates are those of the light, times of another exposure
+        return [VOID["camera"]] if metric == "snr" else []
     if is_own(metric):
         return list(VOID.values())
     return [VOID["radar" if RENDERED[metric].of_radar else "camera"]]

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import InputError
 from twin.geometry import Geometry
 from twin.geometry.coplanar import Facets, Shared, shared_by_two, shared_within, stands_before
 from twin.geometry.covered import covered
@@ -62,7 +63,7 @@ def echoing_once(
         if parts:
             try:
                 found[number] = replace(item, geometry=divided_at(item.geometry, parts)[0])
-            except ValueError as error:
+            except InputError as error:
                 remarks.append(
                     f"{item.name} shares planes with {', '.join(sorted(names))} ({error}): what "
                     "they share echoes twice, by up to 6 dB too much"
