@@ -144,7 +144,9 @@ def _parts(
         if len(getattr(mesh, "faces", ())) == 0:
             skipped += 1
             continue
-        plain = re.sub(r"[^\w-]+", "_", str(node)).strip("_")[:60] or "part"
+        # What is read from content alone has no name of its own.
+        known = model.name if node == "geometry_0" else str(node)
+        plain = re.sub(r"[^\w-]+", "_", known).strip("_")[:60] or "part"
         free = (f"{plain}-{number}" for number in count(2))
         name = plain
         while name in parts or name in materials.table:
