@@ -65,3 +65,12 @@ def exposed(scene: Scene, system: System, fidelity: Fidelity = FINE) -> tuple[Fr
         frame_light(moving, chain, rendered, fidelity, seed.spawn(2)),
         exposure_noise_w(chain, rendered),
     )
+
+
+def passed(system: System, chain: Chain) -> Array:
+    """Share of the line that passes from each cell, (n_cells,): in the corners less."""
+    rows, columns = system.image_shape
+    half = np.tan(np.radians(system.emitter.field_of_view_deg.value / 2))
+    up, left = (half * (2 * np.arange(0.5, 32 * n) / (32 * n) - 1) for n in (rows, columns))
+    shares = chain.sky.emitter_at(np.degrees(np.arctan(np.hypot(up[:, None], left))))
+    return np.asarray(shares.reshape(rows, 32, columns, 32).mean(axis=(1, 3)).ravel())

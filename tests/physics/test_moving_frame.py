@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hardware.reconstruction import reconstruct
-from tests.physics.moving_worlds import FINE, SIDE, exposed, going, plate, small, world
+from tests.physics.moving_worlds import FINE, SIDE, exposed, going, passed, plate, small, world
 from tests.physics.radar_worlds import ball
 from twin.camera import capture
 from twin.camera.assumptions import MOVING_ASSUMPTION, STILL_ASSUMPTION
@@ -86,14 +86,6 @@ def off(
 
 
 # -- closed form: an edge that moves across the image ---------------------------------------------
-
-
-def passed(system: System, chain: Chain) -> Array:
-    """Share of the line that passes from each cell, (n_cells,): in the corners less."""
-    half = np.tan(np.radians(system.emitter.field_of_view_deg.value / 2))
-    at = half * (2 * np.arange(0.5, 512) / 512 - 1)
-    shares = chain.sky.emitter_at(np.degrees(np.arctan(np.hypot(at[:, None], at))))
-    return np.asarray(shares.reshape(16, 32, 16, 32).mean(axis=(1, 3)).ravel())
 
 
 def covered(edge: Array, distance: float, system: System) -> Array:
