@@ -85,10 +85,8 @@ def _without_parts(
     echoes: Sequence[EchoMeasurement], parts: Sequence[EchoMeasurement], waveform: OfdmWaveform
 ) -> list[EchoMeasurement]:
     """Echoes near which no part is."""
-    cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
-    places, found = (_steps_of(some, np.zeros(2), cell) for some in (echoes, parts))
-    is_split = _apart(places, found).min(axis=1, initial=np.inf) < _OF_A_PART
-    return [echo for echo, split in zip(echoes, is_split, strict=True) if not split]
+    apart = cells_apart(echoes, parts, waveform).max(axis=-1).min(axis=1, initial=np.inf)
+    return [echo for echo, cells in zip(echoes, apart, strict=True) if cells >= _OF_A_PART]
 
 
 def resolve(
@@ -128,8 +126,8 @@ def resolve(
 
     Standard errors are those of the joint fit, in the noise that it leaves around each target.
 
-    What is more than 30 dB below an echo is split off only outside its main lobe, and 30 dB below
-    its side lobes nowhere: bodies are no points, and what they have beside one looks like that.
+    A target 30 dB and more below the main lobe or the side lobes of another at its place is not
+    split off: bodies are no points, and what they have beside one looks like that.
 
     Two targets closer than 0.3 cells are never resolved, nor several whose amplitudes could not be
     told apart but with ten times the noise of one alone: strong targets that cancel would fit what
@@ -188,12 +186,17 @@ class _Search:
             if excess <= 1:
                 break
             more = self.model.refined(np.vstack([place, fit.places]))
-            is_sound = self.are_apart(more) and self.are_seen(more)
-            if is_sound and self.are_of_these(self.targets_of(more)):
+            if self.is_sound(more):
                 fit, in_vain = more, 0
             else:
                 barred, in_vain = np.vstack([barred, place]), in_vain + 1
         return fit
+
+    def is_sound(self, fit: JointFit) -> bool:
+        """Whether the targets of a fit can be those that are looked for."""
+        return (
+            self.are_apart(fit) and self.are_seen(fit) and self.are_of_these(self.targets_of(fit))
+        )
 
     def are_apart(self, fit: JointFit) -> bool:
         """Whether each target of a fit can be told from all others."""
@@ -230,7 +233,7 @@ class _Search:
         most = max(1.0, self.strongest(fit)[0])
         for i in np.argsort(np.sum(np.abs(fit.amplitudes[:n_targets]) ** 2, axis=1), kind="stable"):
             fewer = self.model.refined(np.delete(fit.places, i, axis=0))
-            if self.strongest(fewer)[0] <= most and self.are_apart(fewer):
+            if self.strongest(fewer)[0] <= most and self.is_sound(fewer):
                 return self.without_needless(fewer)
         return fit
 
