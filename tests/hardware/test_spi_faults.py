@@ -30,6 +30,11 @@ def changed(change: Callable[[Message], Message | None]) -> Callable[[bytes], by
     return spoil
 
 
+def measured(change: Callable[[Measurement], Message]) -> Callable[[bytes], bytes]:
+    """Of a line: each measurement as it is changed."""
+    return changed(lambda one: change(one) if isinstance(one, Measurement) else one)
+
+
 def test_a_line_on_which_no_measurement_comes_ends_with_an_error(
     firmware: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -50,15 +55,13 @@ def test_a_device_whose_every_frame_is_refused_ends_with_an_error(
 ) -> None:
     """As one of which no frame comes: a host that waits on would never end."""
 
-    def cut(one: Message) -> Message:
-        if isinstance(one, Measurement):
-            return replace(one, counts=one.counts[:-1], flags=one.flags[:-1])
-        return one
+    def cut(one: Measurement) -> Message:
+        return replace(one, counts=one.counts[:-1], flags=one.flags[:-1])
 
     settings = replace(SETTINGS, pattern_period_s=20e-6)
     patience = replace(QUICK, reconnect_s=0.5, attempts=2)
     with firmware.running() as path, bridged(path) as bridge:
-        bridge.spoil = changed(cut)
+        bridge.spoil = measured(cut)
         with (
             SpiCamera(bridge.url, settings, patience=patience) as camera,
             pytest.raises(DeviceError, match=r"anew 2 times; frame .* exposures and detectors"),
@@ -72,13 +75,11 @@ def test_a_frame_that_is_refused_is_told_with_the_reason(
 ) -> None:
     """Once a run: counts that the converter cannot give."""
 
-    def too_bright(one: Message) -> Message:
-        if isinstance(one, Measurement) and one.sequence % 2:
-            return replace(one, counts=one.counts + 2**16)
-        return one
+    def too_bright(one: Measurement) -> Message:
+        return replace(one, counts=one.counts + 2**16 * (one.sequence % 2))
 
     with firmware.running("--fast") as path, bridged(path) as bridge:
-        bridge.spoil = changed(too_bright)
+        bridge.spoil = measured(too_bright)
         with SpiCamera(bridge.url, SETTINGS, patience=QUICK) as camera:
             records = list(camera.records(sets=4))
             assert camera.statistics.refused > 1
@@ -102,15 +103,13 @@ def test_frames_whose_times_are_not_those_of_the_clock_are_refused(
     exposures of 20 us there are two frames in 2.6 ms.
     """
 
-    def shifted(one: Message) -> Message:
-        if isinstance(one, Measurement):
-            return replace(one, time_ns=one.time_ns + round(off_s * 1e9))
-        return one
+    def shifted(one: Measurement) -> Message:
+        return replace(one, time_ns=one.time_ns + round(off_s * 1e9))
 
     settings = replace(SETTINGS, pattern_period_s=20e-6)
     patience = replace(QUICK, reconnect_s=0.5, attempts=2)
     with firmware.running() as path, bridged(path) as bridge:
-        bridge.spoil = changed(shifted)
+        bridge.spoil = measured(shifted)
         with (
             SpiCamera(bridge.url, settings, patience=patience) as camera,
             pytest.raises(DeviceError, match=told),
