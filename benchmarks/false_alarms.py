@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from benchmarks.timing import Figure
 from hardware.radar import Cfar, MapNoise, RangeDopplerMap, cfar_threshold
 from hardware.radar.burst import demodulate
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
 from hardware.radar.range_doppler import range_doppler
+from hardware.radar.settings import Processing
 from hardware.records import QuaternionPose, RadarRecord
 from hardware.waveform import C_M_PER_S
 from twin.radar import load_radar

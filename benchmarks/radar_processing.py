@@ -15,7 +15,8 @@ from hardware.radar.burst import demodulate
 from hardware.radar.detection import detect_echoes
 from hardware.radar.imaging import image
 from hardware.radar.measurement import standard_errors
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from tests.hardware.radar_cubes import (
     CARRIERS,
     MIMO,

@@ -15,10 +15,10 @@ from hardware.radar.imaging import RadarImage as RadarImage
 from hardware.radar.imaging import image as image
 from hardware.radar.own_detection import detection_of as detection_of
 from hardware.radar.process import Frame as Frame
-from hardware.radar.process import Processing as Processing
 from hardware.radar.process import process as process
 from hardware.radar.range_doppler import RangeDopplerMap as RangeDopplerMap
 from hardware.radar.range_doppler import range_doppler as range_doppler
+from hardware.radar.settings import Processing as Processing
 from hardware.radar.tracking import Tracker as Tracker
 from hardware.reconstruction import METHODS as METHODS
 from hardware.reconstruction import Method as Method

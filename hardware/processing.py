@@ -11,7 +11,8 @@ from hardware.errors import InputError
 from hardware.formatting import counted, number, si
 from hardware.motion_of_tracks import MotionOfTracks
 from hardware.radar import Detection
-from hardware.radar.process import Frame, Processing, frames
+from hardware.radar.process import Frame, frames
+from hardware.radar.settings import Processing
 from hardware.reconstruction import Method, Reconstruction, reconstruct
 from hardware.reconstruction.motion import Motion, Search
 from hardware.reconstruction.registry import Solve

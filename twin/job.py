@@ -7,7 +7,7 @@ from typing import Any
 
 from hardware.described import Described
 from hardware.radar.own_detection import Detect, OwnDetection
-from hardware.radar.process import Processing
+from hardware.radar.settings import Processing
 from hardware.reconstruction import Method, method_of
 from hardware.reconstruction.registry import Solve
 from hardware.records import write_radar_record, write_record

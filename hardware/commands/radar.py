@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hardware.radar.process import Processing
+    from hardware.radar.settings import Processing
     from hardware.records import RadarRecord
     from hardware.waveform import OfdmWaveform
 
@@ -61,7 +61,7 @@ def processing(
 ) -> "Processing":
     """Radar processing of ``ugv detect`` and ``ugv process``; None stands for the default."""
     from hardware.radar.own_detection import detection_of
-    from hardware.radar.process import Processing
+    from hardware.radar.settings import Processing
 
     own = None if detection is None else detection_of(detection)
     how = Processing(detection=own, resolve=resolve, moving_only=moving_only)

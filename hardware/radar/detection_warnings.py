@@ -1,20 +1,20 @@
 """What the ranges and rates of a burst's detections may be other than they say, in words."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hardware.radar.ambiguity import fastest_resolved
 from hardware.radar.burst import DemodulatedBurst
+from hardware.radar.cfar_rule import has_training_cells
 from hardware.radar.detection import Detection
+from hardware.radar.k_distribution import ClutterFit
+from hardware.radar.range_doppler import RangeDopplerMap
+from hardware.radar.settings import Processing
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
-if TYPE_CHECKING:
-    from hardware.radar.process import Processing
 
-
-def untested_rates(waveform: OfdmWaveform, how: "Processing") -> list[str]:
+def untested_rates(waveform: OfdmWaveform, how: Processing) -> list[str]:
     """A warning of range rates that cannot be told from slower ones."""
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     resolved = fastest_resolved(waveform, fastest)
@@ -27,7 +27,7 @@ def untested_rates(waveform: OfdmWaveform, how: "Processing") -> list[str]:
     ]
 
 
-def coupled_ranges(interval: DemodulatedBurst, how: "Processing") -> list[str]:
+def coupled_ranges(interval: DemodulatedBurst, how: Processing) -> list[str]:
     """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
     if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
         why = (
@@ -48,7 +48,7 @@ def coupled_ranges(interval: DemodulatedBurst, how: "Processing") -> list[str]:
 
 
 def shifted_ranges(
-    points: Sequence[Detection], waveform: OfdmWaveform, how: "Processing"
+    points: Sequence[Detection], waveform: OfdmWaveform, how: Processing
 ) -> list[str]:
     """A warning of ranges of a single slot, which tells no rate to correct them by."""
     if waveform.n_slots > 1 or waveform.symbols != "zadoff-chu":
@@ -64,7 +64,7 @@ def shifted_ranges(
 
 
 def moving_side_lobes(
-    points: Sequence[Detection], interval: DemodulatedBurst, how: "Processing"
+    points: Sequence[Detection], interval: DemodulatedBurst, how: Processing
 ) -> list[str]:
     """A warning of detections that may be side lobes of moving echoes, of carrier steps."""
     rate = np.array([point.range_rate_m_per_s for point in points]) - how.range_rate_m_per_s
@@ -92,4 +92,37 @@ def ambiguous(points: list[Detection]) -> list[str]:
         f"{name}: ambiguous for {count} of {len(points)} detections, alternatives listed"
         for name, count in counts.items()
         if count
+    ]
+
+
+def of_the_map(
+    burst: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
+) -> list[str]:
+    """Warnings of a map without training cells and of clutter in it."""
+    cells = image.power_w.shape
+    warnings = []
+    if not has_training_cells(cells, how.cfar):
+        warnings.append(
+            f"burst {burst}: nothing can be detected on a map of {cells[0]} x {cells[1]} cells, "
+            f"which the guard cells of CFAR cover, {how.cfar.guard[0]} and {how.cfar.guard[1]} to "
+            "each side (a Cfar with a smaller guard leaves training cells)"
+        )
+    if not clutter.is_noise and how.cfar.shape == float("inf"):
+        warnings.append(
+            f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
+            "cells as in noise are far above their median, as in K-distributed clutter of shape "
+            f"{clutter.shape:.2g}; the rate of false alarms is "
+            f"{clutter.false_alarms(how.cfar.false_alarm, image.n_channels):.2g} times the one set "
+            "(a CFAR with fitted shape keeps it)"
+        )
+    return warnings
+
+
+def too_many(burst: int, n_detections: int, how: Processing) -> list[str]:
+    """A warning of more detections than are kept."""
+    if n_detections <= how.at_most:
+        return []
+    return [
+        f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
+        "kept (at_most)"
     ]

@@ -1,7 +1,7 @@
 """From a burst of a record to a point cloud: range, rate, direction, cross-section, and the map."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,31 +9,33 @@ from numpy.typing import NDArray
 
 from hardware.blas import one_blas_thread
 from hardware.described import Described
-from hardware.errors import InputError, check_count, check_finite, check_kind, check_switch
+from hardware.errors import check_kind
 from hardware.radar.ambiguity import resolve_delay_rates
 from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
-from hardware.radar.cfar_rule import Cfar, has_training_cells
 from hardware.radar.clutter import without_static
-from hardware.radar.demodulation import Complex, Precision, check_precision
+from hardware.radar.demodulation import Complex
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.detection_warnings import (
     ambiguous,
     coupled_ranges,
     moving_side_lobes,
+    of_the_map,
     shifted_ranges,
+    too_many,
     untested_rates,
 )
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.music import music
-from hardware.radar.own_detection import Detect, OwnDetection, detection_of
-from hardware.radar.range_doppler import MOST_OVERSAMPLING, RangeDopplerMap, range_doppler
+from hardware.radar.own_detection import detection_of
+from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
+from hardware.radar.settings import Processing
 from hardware.radar.superresolution import split_targets
-from hardware.radar.windows import check_window, noise_gain
+from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
@@ -41,75 +43,6 @@ if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Processing:
-    """Settings of radar processing.
-
-    Parameters
-    ----------
-    window, oversampling
-        See `range_doppler`.
-    cfar, at_most
-        Rule of detection, and largest number of detections, strongest first.
-    precision
-        Of demodulation and map: ``single`` takes half the time, see `Precision`. Ranges, rates
-        and phases are always refined in double precision.
-    leakage
-        Subtract the record's leakage, where its delay is known.
-    moving_only
-        Subtract all static echoes.
-    resolve
-        Split detections into targets nearer than a cell, see `resolve`.
-    per_cell
-        Targets of one range and rate to resolve by angle with `music`; 1 is plain beamforming.
-    reference_delay_s, range_rate_m_per_s
-        For carrier steps, see `stitch`. The delay is negative where the reference arrives before
-        the clock's zero.
-    fastest_m_per_s
-        Highest speed of approaching or receding targets, up to which the Doppler ambiguity is
-        resolved, or alternatives are listed, see `resolve_delay_rates`. An echo must first be
-        detected on a map without compensation of its migration: a target that moves by n range
-        cells within a burst is 20 log10 n dB weaker there, see `OfdmWaveform.migration_gain`.
-        Beyond 64 of them rates are not tested, which a warning tells.
-    detection
-        A user's own detection in place of CFAR and all refinement: a function of (channel,
-        waveform, image), ``file.py:function``, or an installed name, see `detection_of`.
-    """
-
-    window: str = "blackmanharris"
-    oversampling: int = 1
-    cfar: Cfar = field(default_factory=Cfar)
-    at_most: int = 64
-    precision: Precision = "single"
-    leakage: bool = True
-    moving_only: bool = False
-    resolve: bool = False
-    per_cell: int = 1
-    reference_delay_s: float | None = None
-    range_rate_m_per_s: float = 0.0
-    fastest_m_per_s: float = 50.0
-    detection: str | OwnDetection | Detect | None = None
-
-    def __post_init__(self) -> None:
-        check_window(self.window)
-        check_count("oversampling", self.oversampling, most=MOST_OVERSAMPLING)
-        check_kind("cfar", self.cfar, Cfar, "hardware.Cfar")
-        for name in ("at_most", "per_cell"):
-            check_count(name, getattr(self, name))
-        check_precision(self.precision)
-        for name in ("leakage", "moving_only", "resolve"):
-            check_switch(name, getattr(self, name))
-        check_finite("range_rate_m_per_s", self.range_rate_m_per_s, C_M_PER_S)
-        if self.reference_delay_s is not None:
-            check_finite("reference_delay_s", self.reference_delay_s)
-        fastest: object = self.fastest_m_per_s
-        is_switch = isinstance(fastest, bool)
-        if is_switch or not (isinstance(fastest, int | float | np.number) and fastest >= 0):
-            raise InputError(f"fastest_m_per_s: {fastest!r:.60}, expected a number from 0 on")
-        if self.detection is not None:
-            object.__setattr__(self, "detection", detection_of(self.detection))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,7 +138,7 @@ def process(
         points, warnings = _detections(channel, interval, image, even, clutter, how, burst)
     else:
         points = own(channel, interval.waveform, image)
-        warnings = _cut(burst, len(points), how)
+        warnings = too_many(burst, len(points), how)
         points = points[: how.at_most]
     return Frame(
         burst=burst,
@@ -249,7 +182,7 @@ def _detections(
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
-    warnings = _warnings(burst, len(echoes), image, how, clutter)
+    warnings = [*too_many(burst, len(echoes), how), *of_the_map(burst, image, how, clutter)]
     if echoes:
         warnings += [*untested_rates(interval.waveform, how), *coupled_ranges(interval, how)]
     echoes = echoes[: how.at_most]
@@ -261,38 +194,6 @@ def _detections(
         *moving_side_lobes(points, interval, how),
     ]
     return points, [*warnings, *ambiguous(points)]
-
-
-def _warnings(
-    burst: int, n_detections: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
-) -> list[str]:
-    """Warnings of too many detections, of a map without training cells and of clutter."""
-    cells = image.power_w.shape
-    warnings = _cut(burst, n_detections, how)
-    if not has_training_cells(cells, how.cfar):
-        warnings.append(
-            f"burst {burst}: nothing can be detected on a map of {cells[0]} x {cells[1]} cells, "
-            f"which the guard cells of CFAR cover, {how.cfar.guard[0]} and {how.cfar.guard[1]} to "
-            "each side (a Cfar with a smaller guard leaves training cells)"
-        )
-    if not clutter.is_noise and how.cfar.shape == float("inf"):
-        warnings.append(
-            f"burst {burst}: the map contains clutter: {clutter.exceedance:.2g} times as many "
-            "cells as in noise are far above their median, as in K-distributed clutter of shape "
-            f"{clutter.shape:.2g}; the rate of false alarms is "
-            f"{clutter.false_alarms(how.cfar.false_alarm, image.n_channels):.2g} times the one set "
-            "(a CFAR with fitted shape keeps it)"
-        )
-    return warnings
-
-
-def _cut(burst: int, n_detections: int, how: Processing) -> list[str]:
-    if n_detections <= how.at_most:
-        return []
-    return [
-        f"burst {burst}: more than {how.at_most} detections; the strongest {how.at_most} are "
-        "kept (at_most)"
-    ]
 
 
 def frames(

@@ -7,8 +7,9 @@ import pytest
 
 from hardware.processing import cloud
 from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved, rate_evidence
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
 from hardware.radar.refinement import blocks_about
+from hardware.radar.settings import Processing
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import MIMO, WIDE, Echo, cube
 

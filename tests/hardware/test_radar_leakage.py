@@ -12,7 +12,8 @@ from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
 from hardware.radar.demodulation import complex_samples
 from hardware.radar.phase_noise import phase_noise
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from tests.hardware.radar_cubes import MIMO, STEP, TURNS, WIDE, C, Echo, calibrated, cube, noise
 
 LEAKAGE_S = 2.2 / TURNS.bandwidth_hz

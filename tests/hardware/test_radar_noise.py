@@ -12,7 +12,8 @@ from scipy import special
 
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.k_distribution import fit, survival
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from hardware.radar.whitening import whiten
 from hardware.radar.windows import noise_gain
 from tests.hardware.radar_cubes import TURNS, WIDE, Echo, cube, noise

@@ -28,8 +28,9 @@ from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.clutter import without_leakage, without_static
 from hardware.radar.detection import detect_echoes
 from hardware.radar.music import music
-from hardware.radar.process import Processing, frames, process
+from hardware.radar.process import frames, process
 from hardware.radar.screening import candidate_cells
+from hardware.radar.settings import Processing
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import normalised_window
 from hardware.records import Flag

@@ -13,8 +13,9 @@ from hardware.radar import Cfar, Detection, OfdmWaveform, range_doppler
 from hardware.radar.detection import detect_echoes
 from hardware.radar.measurement import standard_errors
 from hardware.radar.output import table_rows, write_detections
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
 from hardware.radar.sensitivity import on_a_cell, side_lobe
+from hardware.radar.settings import Processing
 
 SMALL = replace(WIDE, n_slots=32)  # 2^13 cells
 CELL = np.array([SMALL.range_cell_m, SMALL.velocity_cell_m_per_s])

@@ -11,7 +11,8 @@ from hardware.errors import InputError
 from hardware.radar import Cfar
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from hardware.radar.stitching import range_per_rate_s, scatter_per_rate, stitch
 from hardware.records import Flag
 

@@ -5,7 +5,8 @@ import pytest
 from scipy.constants import speed_of_light
 
 from hardware.radar import OfdmWaveform
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from hardware.radar.windows import normalised_window
 from hardware.radar.within_symbols import leaked_response
 from hardware.records import QuaternionPose, RadarFrontEnd, RadarRecord

@@ -10,7 +10,8 @@ import pytest
 import twin
 from benchmarks.false_alarms import RADARS, RATES, STILL, STRONG, count, false_detections, record
 from hardware.radar import Cfar
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from twin.fidelity import Fidelity
 
 #: Maps that show some hundreds of alarms at 1e-3, and some at 1e-6.

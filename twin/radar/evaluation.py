@@ -13,7 +13,8 @@ from hardware.described import Described
 from hardware.formatting import counted
 from hardware.radar import Detection, OfdmWaveform, RangeDopplerMap
 from hardware.radar.output import cell
-from hardware.radar.process import Frame, Processing, process
+from hardware.radar.process import Frame, process
+from hardware.radar.settings import Processing
 from hardware.radar.windows import normalised_window
 from hardware.records import RadarRecord
 from twin.radar.acquisition import RadarCapture

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hardware import SpiRecord, reconstruct
 from hardware.patterns import Patterns
 from hardware.radar import Detection
-from hardware.radar.process import Processing, process
+from hardware.radar.process import process
+from hardware.radar.settings import Processing
 from hardware.reconstruction import method_of
 from hardware.records import RadarRecord
 from twin.camera.acquisition import measure

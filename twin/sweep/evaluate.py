@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.process import Processing
+from hardware.radar.settings import Processing
 from twin.camera.acquisition import Capture, capture, measure
 from twin.camera.moving_frame import world_in_motion
 from twin.errors import InputError
