@@ -379,6 +379,21 @@ def test_asked_for_shadows_that_pass_are_traced() -> None:
     assert errors_by_body(scene, RADAR, found, knobs, times)["ball"] < 1.5 * 0.2
 
 
+def test_what_several_instants_leave_out_is_stated() -> None:
+    """A plate flies past a ball: between instants its echo is off by more than an instant's own
+    error says, and within what is stated.
+    """
+    fly = plate("plate", (6.0, 0.1, 0.0), 0.2).following(Straight((0.0, -20.0, 0.0)))
+    scene = world(ball("ball", (9.0, 0.0, 0.0), 0.2, 3), fly)
+    knobs = OPTICS.with_(radar_motion_tolerance=0.5)
+    found = traced_interval(scene, RADAR, knobs, 1)
+    times = np.array([instant.time_s for instant in found.instants])
+    between = (times[:-1] + times[1:]) / 2
+    off = errors_by_body(scene, RADAR, found, knobs, between)["ball"]
+    (body,) = (body for body in found.bodies if body.name == "ball")
+    assert body.estimated_error - body.systematic < off <= body.estimated_error < 0.5 + off
+
+
 @pytest.mark.slow
 def test_what_passes_through_the_radar_has_finite_echoes_at_instants_of_its_own() -> None:
     """A ball at 60 m/s, which is round the radar in the interval's middle."""

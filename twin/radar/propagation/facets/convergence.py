@@ -10,7 +10,7 @@ at all. Therefore the estimate is three times the sum: 95 % of bodies' errors ar
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,11 @@ class BodyEcho:
         if not self.amplitude:
             return 1.0
         return max(self.level_amplitude / self.amplitude, 1.0)
+
+    def off_by(self, more: float) -> "BodyEcho":
+        """The same with an error of the model more, relative as the others."""
+        error, systematic = self.estimated_error + more, self.systematic + more
+        return replace(self, estimated_error=error, systematic=systematic)
 
     @property
     def is_within_tolerance(self) -> bool:

@@ -85,17 +85,19 @@ def traced_interval(
     middle = search.at(0.0)
     for time in times_within(scene, step_s * (np.arange(spans + 1) - spans / 2)).tolist():
         search.at(time)
-    error = search.refine(permitted)
+    errors = search.refine(permitted)
     cost_s = perf_counter() - began_s
-    remarks = middle.warnings
-    if error > permitted:
+    remarks, largest = middle.warnings, max(errors)
+    if largest > permitted:
         remarks += (
             f"motion of {worst.name} within an interval: echoes between two instants are off by "
-            f"{percent(error)} %, asked for {percent(permitted)} % "
+            f"{percent(largest)} %, asked for {percent(permitted)} % "
             "(fidelity.radar_motion_tolerance)",
         )
+    between = zip(middle.bodies, errors[:-1], strict=True)
     return replace(
         middle,
+        bodies=tuple(body.off_by(error) for body, error in between),
         instants=search.instants,
         decisions=(*middle.decisions, _decision(worst, permitted, True, cost_s)),
         warnings=remarks,
@@ -164,11 +166,12 @@ class _Search:
         times = sorted(self._traced)
         return tuple(Instant(time, self._traced[time].contributions) for time in times)
 
-    def refine(self, permitted: float) -> float:
-        """Halve spans until the echo in between is within what is permitted; returns its error.
+    def refine(self, permitted: float) -> list[float]:
+        """Halve spans until echoes in between are within what is permitted; returns their errors,
+        of every body, and last of what the middle does not hear.
 
         Compared in the middle of up to `_COMPARED` spans, where the scene is traced, root mean
-        square over them; these instants are kept.
+        square over them; these instants are kept, so that the errors left are smaller.
         """
         while True:
             spans = list(pairwise(sorted(self._traced)))
@@ -177,9 +180,9 @@ class _Search:
             off, exact = (np.concatenate(parts, axis=1) for parts in zip(*found, strict=True))
             floor = OF_NOISE * noise_amplitude(self._radar)
             level = reference_levels(exact, self._fidelity.radar_tolerance, floor)
-            error = float(over_level(off, level).max(initial=0.0))
-            if error <= permitted or 2 * len(spans) > _MOST_SPANS:
-                return error
+            errors = over_level(off, level)
+            if errors.max() <= permitted or 2 * len(spans) > _MOST_SPANS:
+                return list(errors.tolist())
             for start, end in spans:
                 self.at((start + end) / 2)
 

@@ -46,14 +46,8 @@ class Checked:
 
     def stated(self, bodies: Sequence[BodyEcho]) -> tuple[BodyEcho, ...]:
         """Bodies with these changes in their stated errors."""
-        return tuple(
-            replace(
-                body,
-                estimated_error=body.estimated_error + change,
-                systematic=body.systematic + change,
-            )
-            for body, change in zip(bodies, self.changes.tolist(), strict=True)
-        )
+        changes = zip(bodies, self.changes.tolist(), strict=True)
+        return tuple(body.off_by(change) for body, change in changes)
 
 
 def checked(
