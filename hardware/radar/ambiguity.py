@@ -9,6 +9,9 @@ delay and rate as the two differ in migration, and a detection is one fragment o
 rate is tested over all cells over which its echo may be smeared. (Keystone and hypothesis tests:
 Perry, DiPietro and Fante, IEEE Trans. Aerosp. Electron. Syst. 35, 1999.)
 
+What is found so with another rate must be the echo that was detected: its smear has about that
+power there. Else it is what a stronger body of many parts leaves beside a weak echo.
+
 With a wrong rate a strong echo is also smeared over weak ones beside it. So echoes are processed in
 the order of their power, and each is subtracted before the next is tested.
 
@@ -56,6 +59,8 @@ _COARSE = 32  # blocks along each axis of the search; a target at its edge loses
 _SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
 _SMEAR_FACTOR = 1.3  # see `_may_hide_another`
 _WEAKEST = 0.05  # of the power of a body: the weakest second body searched in the same cell
+_OF_FRAGMENT = 10.0  # either way: power of an echo's smear over that of the detection it explains
+_OF_REST = 10.0  # power of what is taken for another echo over that of a stronger one's side lobe
 _LEAST_MIGRATION = 1.5  # cells of migration per span needed to separate two bodies of one cell
 _NEGLIGIBLE = 0.1  # of a cell's noise: contributions of other echoes that need no subtraction
 
@@ -251,9 +256,14 @@ def _with_likeliest_rate(
     """
     rates = ambiguous_rates(waveform, echo.delay_rate, fastest)
     evidence = rate_evidence(blocks, rates, noise_w)
-    best, *rest = evidence.candidates
+    best, *rest = evidence.candidates.tolist()
     if _is_other_fold(float(rates[best]), echo, waveform):
-        echo = _measure_at(channel, waveform, echo, evidence, int(best), others, noise_w)
+        found = _measure_at(channel, waveform, echo, evidence, best, others, noise_w)
+        if _is_left_by(found, others, waveform) and not _explains(found, echo, channel, waveform):
+            own = int(np.argmin(np.abs(rates - echo.delay_rate)))
+            best, rest = own, [best, *(number for number in rest if number != own)]
+        else:
+            echo = found
     alternatives = echo.delay_rate + (rates[rest] - rates[best])
     return replace(echo, delay_rate_alternatives=tuple(alternatives.tolist())), evidence
 
@@ -323,7 +333,41 @@ def _second_body(
     if best == own or left.possible[own]:
         return None
     second = _measure_at(channel, waveform, echo, left, best, others, noise_w)
-    return second if _is_other_fold(second.delay_rate, likeliest, waveform) else None
+    is_other = _is_other_fold(second.delay_rate, likeliest, waveform)
+    return second if is_other and _explains(second, echo, channel, waveform, _WEAKEST) else None
+
+
+def _is_left_by(
+    found: EchoMeasurement, others: Sequence[EchoMeasurement], waveform: OfdmWaveform
+) -> bool:
+    """Whether echoes of other folds may leave so much: of bodies of many parts not all is
+    subtracted, and without a window the rest has side lobes beyond its smear.
+    """
+    duration_s = waveform.n_slots * waveform.slot_period_s
+    for other in others:
+        apart = abs(other.delay_rate - found.delay_rate)
+        beside_s = abs(other.delay_s - found.delay_s) - apart * duration_s / 2
+        lobe = 1 / max(np.pi * beside_s / waveform.delay_cell_s, 1.0) ** 2
+        if apart > waveform.max_delay_rate and other.power_w * lobe > found.power_w / _OF_REST:
+            return True
+    return False
+
+
+def _explains(
+    found: EchoMeasurement,
+    echo: EchoMeasurement,
+    channel: Complex,
+    waveform: OfdmWaveform,
+    weakest: float = 1.0,
+) -> bool:
+    """Whether the smear of an echo ``found`` at another rate has about the power of the detected
+    ``echo`` there, or down to ``weakest`` of it.
+    """
+    at = np.array([echo.delay_s]), np.array([echo.delay_rate])
+    (blocks,) = blocks_about(channel, waveform, echo.window, *at)
+    smear = unit_echoes(blocks, np.array([_steps(found, blocks)])).sum()
+    share = abs(smear) ** 2 * found.power_w / echo.power_w
+    return bool(weakest / _OF_FRAGMENT <= share <= _OF_FRAGMENT)
 
 
 def _is_other_fold(delay_rate: float, echo: EchoMeasurement, waveform: OfdmWaveform) -> bool:

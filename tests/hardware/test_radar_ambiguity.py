@@ -11,7 +11,7 @@ from hardware.radar.process import process
 from hardware.radar.refinement import blocks_about
 from hardware.radar.settings import Processing
 from hardware.waveform import OfdmWaveform
-from tests.hardware.radar_cubes import MIMO, WIDE, Echo, cube
+from tests.hardware.radar_cubes import MIMO, TURNS, WIDE, Echo, cube
 
 C = 299_792_458.0
 #: One span of the ambiguity, 12.1 m/s, moves a target by 3.1 cells.
@@ -208,6 +208,31 @@ def test_two_fast_targets_are_both_found(rates: tuple[float, float]) -> None:
     found = process(cube(SLOW, pair, noise_w=1e-9 * 256 * 64 / 10**5)).detections
     assert [one.range_m for one in found] == pytest.approx([4.0, 7.0], abs=0.01)
     assert [one.range_rate_m_per_s for one in found] == pytest.approx(rates, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [3, 10])
+def test_weak_echoes_beside_a_body_of_many_parts_are_no_fast_ones(seed: int) -> None:
+    """A body of up to 300 parts, 75 dB over the noise, and three weak points, all of which move by
+    less than 2 m/s: what is left of the body where a weak echo is tested with other rates had been
+    taken for an echo of 48 m/s.
+    """
+    wave = replace(TURNS, n_subcarriers=512, subcarrier_spacing_hz=7.8125e6, n_slots=256)
+    rng = np.random.default_rng(1000 + seed)
+    noise_w, points = 1e-9, []
+    cell_w = noise_w / (wave.n_subcarriers * wave.n_slots)
+    for level_db in (75.0, *rng.uniform(20, 30, 3)):
+        rate, nearest = rng.choice([0.0, 0.0, rng.uniform(-1.5, 1.5)]), rng.uniform(6, 10)
+        is_point = level_db < 75
+        count = 1 if is_point else int(rng.integers(50, 300))
+        length = 0.0 if is_point else rng.uniform(0.2, 2)
+        power_w = cell_w * 10 ** (level_db / 10) * rng.exponential(size=count)
+        for part_w, place in zip(power_w, rng.uniform(0, 1, count), strict=True):
+            at, phase = (nearest + length * place, 0.0, 0.0), rng.uniform(0, 2 * np.pi)
+            points.append(Echo(at, part_w, (rate, 0, 0), phase))
+    frame = process(cube(wave, points, noise_w=noise_w, seed=seed))
+    rates = np.array([point.range_rate_m_per_s for point in frame.detections])
+    assert len(rates) >= 4
+    assert np.abs(rates).max() < 2
 
 
 def test_weak_evidence_excludes_no_rate() -> None:
