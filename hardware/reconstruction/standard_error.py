@@ -25,8 +25,8 @@ On all 22, 32 x 32, noise 0 to 0.01: with 1, 10 or 100 of 1024 patterns lost 93 
 10 of the 64 coarsest 93 to 95 %, with 10 consecutive coarse ones 92 to 94 %; of the first 600 to
 1020 95 to 100 %, of 100 to 512 drawn by chance 95 to 97 %. At noise of 0.1 a full set has 91 %,
 and so do those with lost patterns. Where pictures are as rich at their finest as the prior, the
-first 600 to 800 hold 90 to 95 %, the first half 87 to 94 %. The plain inverse: 90 to 99 %. Of random
-patterns of a user's own, 16 x 16, 32 to 255 of 256: 94 to 99 %, least squares 94 to 100 %.
+first 600 to 800 hold 90 to 95 %, the first half 87 to 94 %. The plain inverse: 90 to 99 %. Of
+random patterns of a user's own, 16 x 16, 32 to 255 of 256: 94 to 99 %, least squares 94 to 100 %.
 
 A single picture may be off by much more, as detail that is nowhere in the patterns shown is not
 foreseen: with one lost pattern and no noise all cells of 6 % of the images lie outside.
