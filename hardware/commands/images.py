@@ -105,7 +105,7 @@ def reconstruct(
     if reconstruction.standard_error is not None:
         typical = _median(reconstruction.standard_error)
         error = f"{number(typical)} e- (median)" if np.isfinite(typical) else "unknown"
-        within = f"95 % lie within {number(reconstruction.errors_in_95)} of them"
+        within = f"about 95 % lie within {number(reconstruction.errors_in_95)} of them"
         say.line(f"standard error of a cell: {error}; {within}")
         figures.append(("standard error of a cell, median", "e-", typical))
         arrays["standard_error"] = reconstruction.standard_error

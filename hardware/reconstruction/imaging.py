@@ -61,8 +61,10 @@ class Reconstruction(Described):
     ``image`` and ``standard_error`` have shape ``(n_detectors, rows, columns)``, in the
     photo-electrons that a cell, lit alone for one exposure, would give; NaN in cells that the
     patterns do not measure (`PatternSet.unmeasured_cells`), of which a warning tells.
-    ``standard_error`` is None where the method gives none; 95 % of the cells lie within
-    ``errors_in_95`` of them, 1.96 where errors are normal. ``noise_electrons`` is the noise of one
+    ``standard_error`` is None where the method gives none. Of ``lmmse``, ``zero-fill`` and
+    ``least-squares`` it holds noise and what the patterns do not see; about 95 % of the cells lie
+    within ``errors_in_95`` of them in the mean over images, 1.96 where errors are normal
+    (`hardware.reconstruction.standard_error`). ``noise_electrons`` is the noise of one
     measurement, as found in the record itself; NaN where the record does not tell it from detail
     (`hardware.reconstruction.measurements`). Standard errors hold ``most_noise_electrons``, the
     most that it can be; both are NaN, of which a warning tells, where no two exposures show it.

@@ -85,7 +85,7 @@ class _MixedProjection:
     """
 
     def __init__(self, values: Array, radius: Array, sensing: Sensing) -> None:
-        u, size, self.vt = _singular_vectors(sensing)
+        u, size, self.vt = singular_vectors(sensing)
         nonzero = size > 1e-9 * size[0]
         self.size, self.vt, rotated = size[nonzero], self.vt[nonzero], u.T @ values
         self.values = rotated[nonzero]
@@ -114,6 +114,7 @@ class _MixedProjection:
 
 
 @lru_cache(maxsize=4)
-def _singular_vectors(sensing: Sensing) -> tuple[Array, Array, Array]:
+def singular_vectors(sensing: Sensing) -> tuple[Array, Array, Array]:
+    """U, singular values (falling) and V^T of the matrix of any patterns."""
     u, size, vt = np.linalg.svd(sensing.matrix, full_matrices=False)
     return u, size, vt

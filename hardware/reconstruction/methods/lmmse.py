@@ -25,7 +25,6 @@ from hardware.reconstruction.prior import (
     mean_square,
     prior_scale,
     prior_spectrum,
-    walsh_variance,
 )
 from hardware.reconstruction.registry import Array, method
 from hardware.reconstruction.sensing import Sensing
@@ -34,11 +33,15 @@ from hardware.reconstruction.standard_error import (
     calibration,
     detail_scale,
     errors_in_95,
+    structure,
+    unseen_detail,
 )
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 #: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
 _DENSE = 2**17
+#: Share of the greatest eigenvalue below which one is roundoff.
+_NULL = 1e-9
 
 
 @method("lmmse", errors_in_95=errors_in_95)
@@ -50,16 +53,21 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     """
     plan = lmmse_plan(sensing)
     scale = plan.scale(values, noise_variance)
-    if scale == 0:  # noiseless and without structure
-        return plan.flat(values), np.zeros(sensing.n_cells)
+    if scale == 0:  # no structure is measured, or nothing but a flat image without noise
+        noise = np.full(sensing.n_cells, noise_variance * plan.noise_of_flat)
+        return plan.flat(values), np.sqrt(noise, out=noise)
     ratio = noise_variance / scale
     cells = plan.image(values, ratio)
-    detail, noise = plan.errors(ratio)
-    unseen = detail_scale(*plan.structure(values), noise_variance, ratio)
-    detail *= activity(cells, sensing)
-    detail *= unseen * calibration(sensing.count) ** 2
-    detail += noise_variance * noise
-    return cells, np.sqrt(detail, out=detail)
+    by_detail, by_noise = plan.errors(ratio)
+    independent, stands = plan.structure(values), activity(cells, sensing)
+    unseen = plan.unseen
+    error = np.maximum(by_detail - unseen, 0.0)  # what smoothing takes of that which is seen
+    error *= stands
+    finest = detail_scale(*independent, noise_variance, ratio)
+    error *= finest * calibration(sensing.count) ** 2
+    error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
+    error += noise_variance * by_noise
+    return cells, np.sqrt(error, out=error)
 
 
 @lru_cache(maxsize=16)
@@ -103,16 +111,25 @@ class SubsetPlan:
     def errors(self, ratio: float) -> tuple[Array, float]:
         """Mean square errors by detail and by noise, see `WalshBlocks.errors`."""
         detail, noise = self.blocks.errors(ratio)
-        mean = 1 / self.sensing.n_cells**2 if self.blocks.mean_at.size else 0.0
-        return np.maximum(detail, 0.0), noise + mean
+        return np.maximum(detail, 0.0), noise + self.noise_of_flat
+
+    @cached_property
+    def unseen(self) -> Array:
+        """Mean square error by what no pattern measures: what is left without noise."""
+        return self.errors(0.0)[0]
 
     def structure(self, values: Array) -> tuple[Array, Array]:
         """Measurements without the mean, and their variances for a prior of scale 1."""
-        return values, walsh_variance(*self.sensing.shape)[self.sensing.indices]
+        return structure(values, self.sensing)
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
         return np.full(self.sensing.n_cells, self._mean(values) / self.sensing.n_cells)
+
+    @property
+    def noise_of_flat(self) -> float:
+        """Mean square error of `flat`, per variance of a measurement."""
+        return 1 / self.sensing.n_cells**2 if self.blocks.mean_at.size else 0.0
 
     def _mean(self, values: Array) -> float:
         """Value of row 0, all cells lit; 0 where it is not shown."""
@@ -172,14 +189,24 @@ class FullPlan:
         detail = mean_square(self.spectrum * (1 - weight) ** 2)
         return detail, (float(np.vdot(weight, weight)) + 1) / n**2
 
+    @cached_property
+    def unseen(self) -> Array:
+        """Nothing is: see `SubsetPlan.unseen`."""
+        return np.zeros(self.sensing.n_cells)
+
     def structure(self, values: Array) -> tuple[Array, Array]:
         """Measurements without the mean, and their variances for a prior of scale 1."""
-        return values, walsh_variance(*self.sensing.shape)[self.sensing.indices]
+        return structure(values, self.sensing)
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
         n = self.sensing.n_cells
         return np.full(n, values[self.sensing.indices == 0].sum() / n)
+
+    @property
+    def noise_of_flat(self) -> float:
+        """See `SubsetPlan.noise_of_flat`."""
+        return 1 / self.sensing.n_cells**2
 
     def _weight(self, ratio: float) -> Array:
         noise = ratio / self.sensing.n_cells + np.finfo(float).tiny
@@ -188,7 +215,11 @@ class FullPlan:
 
 @dataclass(frozen=True, eq=False)
 class MixedPlan:
-    """Of any matrix: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen."""
+    """Of any matrix: eigenvectors U, eigenvalues of A C A^T, C A^T U, the flat image as seen.
+
+    ``independent`` (count, k) are those eigenvectors of A C A^T, without what a flat image can
+    explain, that measure anything; ``variances`` (k,) those measurements' for a prior of scale 1.
+    """
 
     eigenvectors: Array
     eigenvalues: Array
@@ -198,10 +229,12 @@ class MixedPlan:
     prior_variance: Array
     expected: float
     floor: float
+    independent: Array
+    variances: Array
 
     def scale(self, values: Array, noise_variance: float) -> float:
         """Scale of the prior, from what a flat image does not explain."""
-        left = self._without_flat(values)
+        left = _without(self.flat_image, values)
         return prior_scale(float(left @ left), len(values), noise_variance, self.expected)
 
     def image(self, values: Array, ratio: float) -> Array:
@@ -228,9 +261,14 @@ class MixedPlan:
             noise += each * float((weight * flat) ** 2 @ np.ones_like(weight))
         return np.maximum(detail, 0.0), noise
 
+    @cached_property
+    def unseen(self) -> Array:
+        """See `SubsetPlan.unseen`."""
+        return self.errors(0.0)[0]
+
     def structure(self, values: Array) -> tuple[Array, Array]:
         """Independent measurements without the mean, their variances for a prior of scale 1."""
-        return self.eigenvectors.T @ self._without_flat(values), self.eigenvalues
+        return self.independent.T @ values, self.variances
 
     def flat(self, values: Array) -> Array:
         """The image when there is no structure: its mean."""
@@ -238,10 +276,11 @@ class MixedPlan:
         mean = float(self.flat_image @ values) / power if power else 0.0
         return np.full(len(self.cells), mean)
 
-    def _without_flat(self, values: Array) -> Array:
-        flat = self.flat_image
-        power = float(flat @ flat)
-        return values - flat * (float(flat @ values) / power) if power else values
+    @property
+    def noise_of_flat(self) -> float:
+        """See `SubsetPlan.noise_of_flat`."""
+        power = float(self.flat_image @ self.flat_image)
+        return 1 / power if power else 0.0
 
 
 def mixed_plan(sensing: Sensing) -> MixedPlan:
@@ -253,7 +292,9 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
     eigenvalues, eigenvectors = np.linalg.eigh(gram)
     cells = np.ascontiguousarray(covariance @ eigenvectors)
     flat = sensing.forward(np.ones(sensing.n_cells))
-    power = float(flat @ flat)
+    without = _without(flat, _without(flat, gram).T)
+    variances, independent = np.linalg.eigh((without + without.T) / 2)
+    told = variances > _NULL * max(float(variances[-1]), float(np.finfo(float).tiny))
     trace = float(np.trace(gram))
     return MixedPlan(
         eigenvectors=eigenvectors,
@@ -262,6 +303,14 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
         cells_squared=cells**2,
         flat_image=flat,
         prior_variance=cell_variance(*sensing.shape),
-        expected=trace - (float(flat @ gram @ flat) / power if power else 0.0),
+        expected=float(variances[told].sum()),
         floor=1e-12 * trace / sensing.count + 1e-300,  # roundoff must not make it singular
+        independent=np.ascontiguousarray(independent[:, told]),
+        variances=variances[told],
     )
+
+
+def _without(flat: Array, values: Array) -> Array:
+    """Measurements ``(count, ...)`` less what a flat image explains of them."""
+    power = float(flat @ flat)
+    return values - np.multiply.outer(flat, flat @ values / power) if power else values

@@ -1,10 +1,12 @@
 """Least total variation among the images that agree with the measurements within their noise.
 
-    min over x of  sum over cells of |grad x|   with   |A x - y|^2 <= M s
+    min over x of  sum over cells of |grad x|   with   |A x - y|^2 <= 0.6 M s
 
-by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011, over-relaxed and
-warm-started from LMMSE. Hadamard rows are orthogonal, so the constraint's projection is exact: one
-transform there, one back. With a calibrated mixing it takes the singular vectors of A.
+for M measurements of noise variance s; M s is the misfit of noise alone, its share was tuned
+(`MISFIT`). Solved by the primal-dual steps of Chambolle and Pock, J. Math. Imaging Vis. 40, 2011,
+over-relaxed and warm-started from LMMSE. Hadamard rows are orthogonal, so the constraint's
+projection is exact: one transform there, one back. With a calibrated mixing it takes the singular
+vectors of A.
 
 The joint method does the same for the columns of a line sensor side by side: differences between
 neighbouring columns count too, while every detector's measurements bind its own columns.
