@@ -22,6 +22,7 @@ from hardware.reconstruction.motion.compensated import (
 from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.negative_light import negative_light
 from hardware.reconstruction.noise import finest_patterns
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
@@ -207,6 +208,7 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
+            *negative_light(received, measured),
             *told_of_search,
             *(told_of_motion if moving else _smoothed(cells, measured, sensing)),
         ),
