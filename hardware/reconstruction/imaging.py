@@ -29,6 +29,7 @@ from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.records import Flag, SpiRecord
+from hardware.records.container import unknown_flags
 
 LEVEL_UNKNOWN = (
     "the level of the image is unknown, its mean is set to 0: the pattern that lights all cells "
@@ -282,6 +283,7 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+    yield from unknown_flags(record.flags, "exposures")
     if at_rail := record.n_at_rail:
         yield (
             f"{at_rail} of {n} exposures stand at an end of the converter's range, 0 or "
