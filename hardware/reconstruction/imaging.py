@@ -28,6 +28,7 @@ from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
 from hardware.reconstruction.sensing import Mixing, Sensing
+from hardware.reconstruction.unequal_arms import unequal_arms
 from hardware.records import Flag, SpiRecord
 from hardware.records.container import unknown_flags
 
@@ -210,6 +211,7 @@ def reconstruct(
             *_with_background(received),
             *_without_scatter(received, most),
             *negative_light(received, measured),
+            *unequal_arms(received, sensing),
             *told_of_search,
             *(told_of_motion if moving else _smoothed(cells, measured, sensing)),
         ),
