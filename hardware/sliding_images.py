@@ -11,6 +11,7 @@ from hardware.patterns import PatternSet
 from hardware.reconstruction import measurements
 from hardware.reconstruction.motion import Motion, Search
 from hardware.reconstruction.motion.compensated import motion_found
+from hardware.reconstruction.negative_light import negative_light
 from hardware.reconstruction.stream import SlidingWindow
 from hardware.records import SpiRecord
 
@@ -25,7 +26,8 @@ class ImagesBetween:
     """Images of a record, made as they are asked for: device time, ns, and image (n_images, rows,
     columns), electrons, of each.
 
-    ``motion``: by which they are predicted, None: values age; ``warnings``: why none was found.
+    ``motion``: by which they are predicted, None: values age; ``warnings``: why none was found, and
+    what contradicts the values.
     """
 
     images: Iterator[tuple[int, Array]]
@@ -74,11 +76,11 @@ class SlidingImages:
         measured = measurements(received)
         motion, warnings = self.motion, tuple[str, ...]()
         if motion is not None and patterns.mode not in _OF_ONE_TIME:
-            told = (
+            still = (
                 f"motion: does not predict images between whole sets of mode {patterns.mode}, "
                 f"expected {' or '.join(_OF_ONE_TIME)}: older values age"
             )
-            motion, warnings = None, (told,)
+            motion, warnings = None, (still,)
         elif isinstance(motion, Search):
             motion, warnings = motion_found(record, received, measured.noise_variance, motion)
         times_ns = _ends_ns(received)
@@ -91,7 +93,8 @@ class SlidingImages:
             window.goes_on(motion, 1e-9 * int(times_ns[0]))
         places = np.flatnonzero(np.isin(patterns.indices, received.patterns.indices))
         images = self._images(windows, places, measured.values, times_ns)
-        return ImagesBetween(images, motion, warnings)
+        told = (*warnings, *negative_light(received, measured))
+        return ImagesBetween(images, motion, told)
 
     def _images(
         self,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_index
-from hardware.records.container import Flag
+from hardware.records.container import Flag, unknown_flags
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
@@ -74,13 +74,7 @@ def _levels(record: "RadarRecord", burst: int) -> list[str]:
     highest, lowest = iq.max(initial=0), iq.min(initial=0)
     if highest == lowest == 0:
         return [f"burst {burst}: IQ is all zero"]
-    warnings = []
-    unknown = int(np.bitwise_or.reduce(flags, axis=None)) & ~sum(Flag)
-    if unknown:
-        warnings.append(
-            f"burst {burst}: flags of {np.count_nonzero(flags & unknown)} slots hold bits of "
-            f"unknown meaning ({unknown}), which are ignored"
-        )
+    warnings = [f"burst {burst}: {told}" for told in unknown_flags(flags, "slots")]
     silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
     if silent:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")

@@ -22,12 +22,15 @@ from hardware.reconstruction.motion.compensated import (
 from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
+from hardware.reconstruction.negative_light import negative_light
 from hardware.reconstruction.noise import finest_patterns
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
 from hardware.reconstruction.sensing import Mixing, Sensing
+from hardware.reconstruction.unequal_arms import unequal_arms
 from hardware.records import Flag, SpiRecord
+from hardware.records.container import unknown_flags
 
 LEVEL_UNKNOWN = (
     "the level of the image is unknown, its mean is set to 0: the pattern that lights all cells "
@@ -209,6 +212,8 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
+            *negative_light(received, measured),
+            *unequal_arms(received, sensing),
             *told_of_search,
             *(told_of_motion if moving else _smoothed(cells, measured, sensing)),
         ),
@@ -282,6 +287,7 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
             yield f"{bad} of {n} exposures are marked {flag.name.lower()}"
+    yield from unknown_flags(record.flags, "exposures")
     if at_rail := record.n_at_rail:
         yield (
             f"{at_rail} of {n} exposures stand at an end of the converter's range, 0 or "

@@ -77,8 +77,9 @@ def measurements(record: SpiRecord) -> Measurements:
     Differential, complementary: pattern minus complement. Their *sum* is the same for every pair
     (all cells lit once, plus background), so its scatter is the noise of the difference: no model,
     no dark frame (`hardware.reconstruction.noise.noise_of_sums`). The two arms of a complementary
-    set are taken as equally sensitive; where they are not, the noise comes out too high. What of
-    their 1/f noise is slower than an exposure is not in it.
+    set are taken as equally sensitive; where they are not, the noise comes out too high, and
+    `hardware.reconstruction.unequal_arms` says so. What of their 1/f noise is slower than an
+    exposure is not in it.
 
     Reference: 2 (lit) - (all lit) - (all dark), free of background. The noise of the two reference
     exposures is one constant in every value, which is an error of the cells that are lit in every
@@ -109,7 +110,7 @@ def measurements(record: SpiRecord) -> Measurements:
     electrons, patterns = record.electrons, record.patterns
     values = measured_values(electrons, patterns)
     if patterns.mode in ("differential", "complementary"):
-        lit, complement = _pairs(electrons, patterns)
+        lit, complement = pairs(electrons, patterns)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
         rounding = 2 * record.electrons_per_count**2 / 12
         most = np.maximum(noise, rounding) if len(lit) > 1 else np.full_like(noise, np.nan)
@@ -156,7 +157,7 @@ def measured_values(electrons: Array, patterns: Patterns) -> Array:
     `measurements` explains them; linear in the exposures.
     """
     if patterns.mode in ("differential", "complementary"):
-        lit, complement = _pairs(electrons, patterns)
+        lit, complement = pairs(electrons, patterns)
         return lit - complement
     if patterns.mode == "reference":
         return np.asarray(2 * electrons[2:] - electrons[0] - electrons[1])
@@ -166,7 +167,7 @@ def measured_values(electrons: Array, patterns: Patterns) -> Array:
     return _without_constant(electrons, patterns, finest_patterns(patterns))
 
 
-def _pairs(electrons: Array, patterns: Patterns) -> tuple[Array, Array]:
+def pairs(electrons: Array, patterns: Patterns) -> tuple[Array, Array]:
     """Exposures to the patterns, and those to their complements."""
     if patterns.mode == "differential":
         return electrons[0::2], electrons[1::2]

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.patterns import PatternSet
+from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan
 from hardware.reconstruction.prior import walsh_variance
 
 Array = NDArray[np.float64]
@@ -19,6 +19,11 @@ _LAG = 8
 #: Cin(x), the integral of (1 - cos t) / t from 0 to x: 2 Cin(pi), and at m pairs
 #: 2 Cin(2 m pi) + Cin((2 m + 1) pi) + Cin((2 m - 1) pi) - 2 Cin(pi).
 _IN_PAIR, _SUCCESSIVE, _APART = 3.29655528, 6.03696679, 14.67765865
+#: Degrees of freedom of successive sums over those of that estimate, at most: with fewest pairs.
+_OF_IN_TURN = 2.0
+#: Standard errors beyond which a record contradicts itself. Of normal noise one value in 3.5
+#: million is as far to one side.
+_FAR = 5.0
 #: Of the finest values at least so many tell the most that noise can be: of two alone, 95 % of
 #: errors would lie within 12.7 roots of their variance.
 _LEAST_FINEST = 8
@@ -78,14 +83,43 @@ def most_scatter(values: Array, patterns: PatternSet) -> Array:
     So few values tell it that 95 % of normal errors lie within 1.96 of its roots as they do within
     Student's quantile of the roots found.
     """
-    order = _fine_to_coarse(patterns)
-    finest = order[: max(_LEAST_FINEST, (patterns.count - 1) // 8)]
+    finest = _finest_of_noise(patterns)
     if finest.size < 2:
         return np.full(values.shape[1], np.nan)
     from scipy.special import stdtrit  # takes 0.1 s to import
 
     few = float(stdtrit(finest.size - 1, 0.975)) / 1.96
     return np.asarray(few**2 * values[finest].var(axis=0, ddof=1))
+
+
+def freedom(patterns: Patterns) -> float:
+    """Degrees of freedom with which a record tells the most noise that there can be."""
+    if patterns.mode in ("differential", "complementary") and not isinstance(patterns, RasterScan):
+        found = freedom_of_successive(patterns.count)
+        in_turn = patterns.mode == "differential" and patterns.count > 2 * _LAG
+        return found / _OF_IN_TURN if in_turn else found
+    if isinstance(patterns, OwnPatterns):
+        return patterns.count - 1.0
+    whole = patterns
+    if not isinstance(whole, PatternSet):  # a scan is transformed whole
+        whole = PatternSet(whole.rows, whole.columns, whole.n_cells, "natural", "plain")
+    return _finest_of_noise(whole).size - 1.0
+
+
+def freedom_of_successive(n: int) -> float:
+    """Degrees of freedom of half the mean squared difference of n successive normal values, whose
+    relative variance is (3 n - 4) / (n - 1)^2.
+    """
+    return 2 * (n - 1) ** 2 / (3 * n - 4) if n > 1 else 0.0
+
+
+def errors_of_few(degrees: float) -> float:
+    """Standard errors, found with these degrees of freedom, beyond which a value is as seldom as a
+    normal one beyond 5; infinite of none.
+    """
+    from scipy.special import ndtr, stdtrit  # takes 0.1 s to import
+
+    return -float(stdtrit(degrees, ndtr(-_FAR))) if degrees > 0 else np.inf
 
 
 def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
@@ -143,6 +177,11 @@ def _bins(patterns: PatternSet) -> _Bins | None:
     model = (detail + (1 - _DETAIL)[None, :, None]).reshape(-1, len(starts))
     noise = np.tile(1 - _DETAIL, len(_EXPONENTS))
     return _Bins(order, starts, 1 / model, np.log(model) @ sizes, noise)
+
+
+def _finest_of_noise(patterns: PatternSet) -> NDArray[np.intp]:
+    """Where the patterns stand whose scatter is the most that noise can be."""
+    return _fine_to_coarse(patterns)[: max(_LEAST_FINEST, (patterns.count - 1) // 8)]
 
 
 def _fine_to_coarse(patterns: PatternSet) -> NDArray[np.intp]:

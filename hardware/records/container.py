@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from hardware.errors import InputError
 from hardware.files import whole_file
@@ -36,6 +36,17 @@ class Flag(IntFlag):
     OVERRUN = 2
     RESET = 4
     LOST = 8
+
+
+def unknown_flags(flags: NDArray[np.uint8], of: str) -> list[str]:
+    """A warning of bits that are none of `Flag`, in the flags of exposures or slots (``of``)."""
+    unknown = int(np.bitwise_or.reduce(flags, axis=None)) & ~sum(Flag)
+    if not unknown:
+        return []
+    return [
+        f"flags of {np.count_nonzero(flags & unknown)} {of} hold bits of unknown meaning "
+        f"({unknown}), which are ignored"
+    ]
 
 
 @dataclass(frozen=True)

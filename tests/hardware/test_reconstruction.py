@@ -178,6 +178,10 @@ def test_flags_become_warnings() -> None:
     record = record_of(patterns.signal(np.arange(16.0)), patterns)
     record.flags[3:5] = Flag.SATURATED
     assert reconstruct(record).warnings == ("2 of 32 exposures are marked saturated",)
+    record.flags[:] = 0
+    record.flags[[3, 7, 9]] = 16, 48, 32
+    (told,) = reconstruct(record).warnings
+    assert told == "flags of 3 exposures hold bits of unknown meaning (48), which are ignored"
 
 
 def test_unknown_method_and_missing_reference_are_named() -> None:

@@ -14,7 +14,7 @@ from twin.camera.light import render
 from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.fidelity import PRESETS, Fidelity
 from twin.geometry import Geometry
-from twin.scene import SceneObject, Sun, load_scene
+from twin.scene import Pose, Rig, SceneObject, Sun, load_scene
 from twin.scene.texture import Texture
 from twin.system import load_system
 
@@ -86,3 +86,18 @@ def test_sun_that_no_path_met_is_not_none_at_all() -> None:
     rendered = render(behind, system, fidelity=PRESETS["draft"], seed=np.random.SeedSequence(1))
     assert not swept.sun.any()
     np.testing.assert_allclose(rendered.sun_left_out, swept.sun_left_out)
+
+
+@pytest.mark.parametrize("dark", [{"sky.illuminance_lx": 0.0}, {"sky.sun_elevation_deg": -5.0}])
+def test_of_no_sun_in_fog_nothing_is_left_out(dark: dict[str, float]) -> None:
+    """What is left out of a sun's light in fog has no bound here, per irradiance of the sun; of 0
+    W/m^2 it is 0 W. The product had been no number, and the capture was refused.
+    """
+    here, beside = Pose((0.0, 0.0, 0.0)), Pose((0.0, -0.3, 0.0))
+    scene = world(plate("wall", (-2, 2), (-2, 2)), rig=Rig(here, beside, here))
+    few = {"emitter.rows": 4, "emitter.columns": 4, "acquisition.n_patterns": 16}
+    system = load_system("workable").with_({**few, **dark, "weather.part": "fog-200m"})
+    night = capture(scene, system, seed=1)
+    assert (night.background_w, night.noise.background_e) == (0.0, 0.0)
+    for interval in (sun_power_interval(night), background_interval(night)):
+        assert (interval.value, interval.half_width) == (0.0, 0.0)

@@ -152,14 +152,12 @@ class Chain:
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
         lit = watt * self._share_of_pulses(cells, rendered.paths)
-        # Of cells whose light does not pass nothing is left out, be the bound infinite.
-        bound = np.where(lit > 0, rendered.light.left_out, 0.0)
         return Powers(
             cells_w=watt * cells,
             error_w=lit * rendered.light.error,
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
-            left_out_w=lit * np.broadcast_to(bound, rendered.light.error.shape),
+            left_out_w=_left_out(lit, rendered.light.left_out),
             sun_error_w=self._sun_error(rendered),
             sun_left_out_w=self._sun_left_out(rendered),
             sun_of_cells_w=self._sun_of_cells(rendered),
@@ -203,7 +201,7 @@ class Chain:
 
     def _sun_left_out(self, rendered: "RenderedLight") -> Array:
         """Bound of what is left out of that power, (n_detectors,)."""
-        return self._of_exposure(self.sun_weight(rendered) * rendered.sun_left_out)
+        return self._of_exposure(_left_out(self.sun_weight(rendered), rendered.sun_left_out))
 
     def _of_exposure(self, parts: Array) -> Array:
         """Sum over the parts of the field that a detector sees in an exposure, in the mean."""
@@ -319,6 +317,11 @@ class Chain:
             device=f"twin {__version__}: {system.name}",
             pose=QuaternionPose.of(pose.position_m, pose.rotation),
         )
+
+
+def _left_out(weight: Array, bound: Array | float) -> Array:
+    """Bound of power: of light of which none arrives nothing is left out, be the bound infinite."""
+    return np.multiply(weight, bound, out=np.zeros_like(weight), where=weight > 0)
 
 
 def _through(shutter: ShutterResponse, cells: Array, paths: Paths | None) -> Array:

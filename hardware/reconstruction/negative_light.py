@@ -1,0 +1,65 @@
+"""Whether all cells together are less than no light: counts that fall as light rises, exposures
+that are exchanged.
+
+Values of patterns that count no cell negatively (Hadamard row 0, all cells lit) are sums of light,
+and none is below 0 but by noise. A sum below it by more than 5 standard errors is told: of one
+image of no light in 3.5 million where noise is normal, and of fewer where there is light. As the
+noise is found in the record itself, Student's distribution takes the normal one's place, with the
+degrees of freedom that the patterns leave. Most sets of a user's own plain patterns have no such
+value.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.formatting import number
+from hardware.patterns import OwnPatterns, Patterns, PatternSet
+from hardware.reconstruction.measurements import Measurements
+from hardware.reconstruction.noise import errors_of_few, freedom
+from hardware.records import SpiRecord
+
+#: Variance that the constant of sets without complements adds to that of a value, at most: two
+#: references half of it, the mean of two or more of the finest values half or less.
+_WITH_CONSTANT = 1.5
+
+
+def negative_light(record: SpiRecord, measured: Measurements) -> Iterator[str]:
+    """A warning where ``measured`` of a record is less than no light. Phase shutters may hold the
+    difference of two taps, whose sums have either sign: nothing is told of them.
+    """
+    patterns = record.patterns
+    sums = _sums_of_light(patterns)
+    if not sums.any() or any(shutter.modulated for shutter in record.shutters):
+        return
+    paired = patterns.mode in ("differential", "complementary")
+    light = measured.values[sums].mean(axis=0)
+    factor = 1.0 if paired else _WITH_CONSTANT
+    error = np.sqrt(factor * measured.most_noise_variance)
+    least = errors_of_few(freedom(patterns))
+    if not (negative := light < -least * error).any():
+        return
+    worst = int(np.nanargmin(np.where(negative, light / error, np.nan)))
+    causes = ["counts fall as light rises"]
+    if paired:
+        causes.append("exposures and those to their complements are exchanged")
+    causes.append(
+        "the second detector sees more background"
+        if patterns.mode == "complementary"
+        else "the background rose meanwhile"
+    )
+    yield (
+        f"{np.count_nonzero(negative)} of {len(light)} images hold less than no light: all cells "
+        f"together {number(light[worst])} electrons, with a standard error of "
+        f"{number(error[worst])}; {', or '.join(causes)}"
+    )
+
+
+def _sums_of_light(patterns: Patterns) -> NDArray[np.bool_]:
+    """Values in which no cell counts negatively."""
+    if isinstance(patterns, OwnPatterns):
+        return np.asarray((patterns.matrix >= 0).all(axis=1))
+    if isinstance(patterns, PatternSet):
+        return patterns.indices == 0
+    return np.arange(patterns.n_cells) == 0  # a scan is transformed whole
