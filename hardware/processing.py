@@ -59,7 +59,7 @@ def process(
     (`hardware.reconstruct`); `MotionOfTracks` takes it from the poses and ``tracks`` of the records
     before, and needs these.
 
-    Raises InputError for a calibration of another device.
+    Raises InputError for a calibration that does not hold for the record.
     """
     sensor = sensor_of(received.topic)
     if isinstance(received.record, SpiRecord):

@@ -92,10 +92,10 @@ class RadarCalibration(Warned):
             first = first or record
             _check_alike(first, record)
             echoes.add(record, frame)
-        if first is None or not echoes.measured:
+        if first is None or not echoes.offset_m:
             raise InputError(echoes.none)
-        offset_m, offset_error_m = echoes.combined(0, "m")
-        gain_db, gain_error_db = echoes.combined(2, "dB")
+        offset_m, offset_error_m = echoes.combined(echoes.offset_m, "range offsets", "m")
+        gain_db, gain_error_db = echoes.combined(echoes.gain_db, "two-way gains", "dB")
         if gain_error_db > _WEAK_DB:
             echoes.warnings.append(
                 f"the target's echo is weak: the level's standard error is {gain_error_db:.2g} dB, "
@@ -155,13 +155,13 @@ class RadarCalibration(Warned):
 
 @dataclass
 class _Echoes:
-    """The target's echo in one burst after another, and warnings.
-
-    ``measured``: range offset and its error in metres, two-way gain and its error in decibels.
+    """Range offset and two-way gain by the target's echo in one burst after another, each with its
+    standard error, and warnings.
     """
 
     target: CalibrationTarget
-    measured: list[tuple[float, float, float, float]] = field(default_factory=list)
+    offset_m: list[tuple[float, float]] = field(default_factory=list)
+    gain_db: list[tuple[float, float]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     n_whole: int = 0
     n_records: int = 0
@@ -172,11 +172,8 @@ class _Echoes:
         """Why there is no calibration."""
         if not self.n_whole:
             return "; ".join(["no whole burst of a radar in it", *distinct(self.warnings)])
-        return f"detections: none within {_NEAR_M:g} m of the target at {self._away}"
-
-    @property
-    def _away(self) -> str:
-        return quantity_text(self.target.distance_m, "m")
+        away = quantity_text(self.target.distance_m, "m")
+        return f"detections: none within {_NEAR_M:g} m of the target at {away}"
 
     def add(self, record: RadarRecord, frame: Frame) -> None:
         """A burst. Raises InputError for a saturated one."""
@@ -214,20 +211,17 @@ class _Echoes:
             antenna_gain_dbi=0.0,
             losses_db=0.0,
         )
-        self.measured.append(
-            (
-                best.range_m - away_m,
-                best.range_error_m,
-                _DB * math.log(bare.rcs_m2 / self.target.size),
-                _DB * bare.rcs_error_m2 / bare.rcs_m2,
-            )
-        )
+        self.offset_m.append((best.range_m - away_m, best.range_error_m))
+        gain_db = _DB * math.log(bare.rcs_m2 / self.target.size)
+        self.gain_db.append((gain_db, _DB * bare.rcs_error_m2 / bare.rcs_m2))
 
-    def combined(self, column: int, unit: str) -> tuple[float, float]:
+    def combined(
+        self, measured: Sequence[tuple[float, float]], what: str, unit: str
+    ) -> tuple[float, float]:
         """Mean of a quantity over the bursts, and its standard error."""
         from scipy.special import chdtri
 
-        values, errors = np.array(self.measured)[:, column : column + 2].T
+        values, errors = np.array(measured).T
         n = len(values)
         mean, error = float(values.mean()), float(np.linalg.norm(errors) / n)
         if n == 1:
@@ -235,7 +229,6 @@ class _Echoes:
         scatter = float(values.std(ddof=1))
         if (n - 1) * scatter**2 <= chdtri(n - 1, _BY_CHANCE) * np.mean(errors**2):
             return mean, error
-        what = {"m": "range offsets", "dB": "two-way gains"}[unit]
         ends = (quantity_text(float(end), unit) for end in (values.min(), values.max()))
         self.warnings.append(
             f"{what} of {n} bursts go from {' to '.join(ends)}, by more than their errors "
