@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.calibration import CameraCalibration, RadarCalibration
 from hardware.errors import InputError
-from hardware.formatting import counted, number, si
+from hardware.formatting import counted, number, quantity_text, si
 from hardware.motion_of_tracks import MotionOfTracks
 from hardware.radar import Detection
 from hardware.radar.process import Frame, frames
@@ -44,12 +44,14 @@ def process(
     tracks: RadarTracks | None = None,
     sliding: SlidingImages | None = None,
     motion: Motion | Search | MotionOfTracks | None = None,
+    distance_m: float | None = None,
 ) -> RecordSummary:
     """Append the image of a camera's record, or each burst's detections of a radar's.
 
-    Images are in electrons or, with a calibration, reflectance at the target's distance; NaN where
-    cells are not measured. The
-    radar's are those of `hardware.radar.process.process`, as ``ugv detect`` lists them, as `cloud`.
+    Images are in electrons or, with a calibration, the reflectance of surfaces that all stand at
+    ``distance_m``, None: as far as the calibration's target. One at another distance d is wrong by
+    the factor (distance_m / d)^2. NaN where cells are not measured. The radar's are those of
+    `hardware.radar.process.process`, as ``ugv detect`` lists them, as `cloud`.
 
     With ``tracks`` the confirmed tracks of each burst follow, in the world's frame
     (`hardware.tracks.cloud`); with ``sliding`` the images are those of its window instead of
@@ -57,13 +59,13 @@ def process(
     (`hardware.reconstruct`); `MotionOfTracks` takes it from the poses and ``tracks`` of the records
     before, and needs these.
 
-    Raises InputError for a calibration of another device.
+    Raises InputError for a calibration that does not hold for the record.
     """
     sensor = sensor_of(received.topic)
     if isinstance(received.record, SpiRecord):
         if sliding:
-            return _images(received, received.record, log, sensor, sliding, camera)
-        return _image(received, received.record, log, sensor, method, camera, motion)
+            return _images(received, received.record, log, sensor, sliding, camera, distance_m)
+        return _image(received, received.record, log, sensor, method, camera, motion, distance_m)
     follows = motion if isinstance(motion, MotionOfTracks) else None
     return _detections(received, received.record, log, sensor, how, radar, tracks, follows)
 
@@ -76,6 +78,7 @@ def _image(
     method: str | Method | Solve,
     calibration: CameraCalibration | None,
     motion: Motion | Search | MotionOfTracks | None,
+    distance_m: float | None,
 ) -> RecordSummary:
     told, warnings = tuple[str, ...](), tuple[str, ...]()
     if isinstance(motion, MotionOfTracks):
@@ -88,8 +91,9 @@ def _image(
             told = (f"motion: {motion_in_words(image.motion)}",)
     cells, unit = image.image, "e-"
     if calibration:
-        cells = calibration.reflectance(cells, record, calibration.target.distance_m)
-        unit = "reflectance"
+        distance_m = distance_m or calibration.target.distance_m
+        cells = calibration.reflectance(cells, record, distance_m)
+        unit = _reflectance_at(distance_m)
     stamp = _frame_ns(received)
     picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
     log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
@@ -97,6 +101,10 @@ def _image(
         (f"image {number(np.nanmin(cells))} to {number(np.nanmax(cells))} {unit}", *told),
         (*image.warnings, *warnings),
     )
+
+
+def _reflectance_at(distance_m: float) -> str:
+    return f"reflectance of surfaces at {quantity_text(distance_m, 'm')}"
 
 
 def _supported(
@@ -118,12 +126,16 @@ def _images(
     sensor: str,
     sliding: SlidingImages,
     calibration: CameraCalibration | None,
+    distance_m: float | None,
 ) -> RecordSummary:
-    n = 0
+    n, kind = 0, "images"
+    if calibration:
+        distance_m = distance_m or calibration.target.distance_m
+        kind = f"images of {_reflectance_at(distance_m)}"
     between = sliding.update(sensor, record)
     for time_ns, cells in between.images:
-        if calibration:
-            cells = calibration.reflectance(cells, record, calibration.target.distance_m)
+        if calibration and distance_m:
+            cells = calibration.reflectance(cells, record, distance_m)
         stamp = received.clock.host_ns(time_ns) if received.clock else received.host_ns
         picture = ros.image(np.hstack(list(cells)), stamp, sensor.strip("/"))
         log.message(f"{sensor}/image", ros.IMAGE, picture, received.host_ns, stamp)
@@ -133,7 +145,7 @@ def _images(
         if isinstance(sliding.motion, Search)
         else ()
     )
-    return RecordSummary((f"{n} images", *told), between.warnings)
+    return RecordSummary((f"{n} {kind}", *told), between.warnings)
 
 
 def _detections(
@@ -178,13 +190,14 @@ def calibrated(
 ) -> tuple[Detection, ...]:
     """Detections of a burst, with ranges and cross-sections by a calibration where there is one.
 
-    Raises InputError for a calibration of another device.
+    Raises InputError for a calibration that does not hold for the record.
     """
     if calibration is None:
         return frame.detections
-    if calibration.device != record.device:
-        raise InputError(f"device: calibrated {calibration.device!r}, measured {record.device!r}")
-    return tuple(calibration.corrected(one, frame.waveform) for one in frame.detections)
+    calibration.check(record)
+    return tuple(
+        calibration.corrected(one, frame.waveform, record.front_end) for one in frame.detections
+    )
 
 
 def cloud(detections: Sequence[Detection]) -> dict[str, NDArray[np.float64]]:

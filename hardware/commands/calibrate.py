@@ -1,5 +1,7 @@
 """The commands ``ugv calibrate camera`` and ``radar``, against a target at a known distance."""
 
+import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -8,12 +10,14 @@ import typer
 
 from hardware.commands.output import Output, with_output
 from hardware.commands.quantities import quantity_of
-from hardware.commands.records import RadarSetup, Settings, records_of
+from hardware.commands.records import RadarSetup, Settings, is_log, records_of
 from hardware.errors import InputError
-from hardware.formatting import si
+from hardware.formatting import with_error
 
 if TYPE_CHECKING:
+    from hardware.radar.process import Frame
     from hardware.recording import Received
+    from hardware.records import RadarRecord
 
 _Record = TypeVar("_Record")
 
@@ -44,7 +48,10 @@ def calibrate_camera(
     _check_positive(distance=distance, reflectance=reflectance)
     target = CalibrationTarget(distance, reflectance)
     pair = [_first(records_of(source, settings), source, SpiRecord) for source in (dark, flat)]
-    write_calibration(CameraCalibration.of(pair[0], pair[1], target), out)
+    result = CameraCalibration.of(pair[0], pair[1], target, (dark, flat))
+    for warning in result.warnings:
+        say.warn(warning)
+    write_calibration(result, out)
     say.written(out)
 
 
@@ -58,22 +65,48 @@ def calibrate_radar(
     ],
     radar_setup: RadarSetup = None,
 ) -> None:
-    """Range offset and power of a radar."""
+    """Range offset and two-way gain of a radar, from all bursts of a log or the first record of a
+    sensor.
+    """
     from hardware.calibration import CalibrationTarget, RadarCalibration, write_calibration
-    from hardware.radar.process import process as processed
-    from hardware.records import RadarRecord
 
     _check_positive(distance=distance, cross_section=cross_section)
     target = CalibrationTarget(distance, cross_section)
-    record = _first(records_of(source, None, radar_setup), source, RadarRecord)
-    frame = processed(record)
-    for warning in frame.warnings:
+    incoming = records_of(source, None, radar_setup)
+    try:
+        result = RadarCalibration.of(_bursts(incoming, None if is_log(source) else 1), target)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    for warning in result.warnings:
         say.warn(f"{source}: {warning}")
-    result = RadarCalibration.of(record.device, frame.detections, target)
     write_calibration(result, out)
-    say.verdict(f"range offset {si(result.range_offset_m, 'm')}")
-    say.add(range_offset_m=result.range_offset_m)
+    offset = with_error(result.range_offset_m, result.range_offset_error_m, "m")
+    gain = with_error(result.two_way_gain_db, result.two_way_gain_error_db, "dB")
+    more_db = result.two_way_gain_db - 2 * result.antenna_gain_dbi + result.losses_db
+    than = f", {abs(more_db):.2f} dB {'less' if more_db < 0 else 'more'} than the record declares"
+    say.verdict(
+        f"range offset {offset}; two-way gain {gain}{than if math.isfinite(more_db) else ''}"
+    )
+    say.add(
+        range_offset_m=result.range_offset_m,
+        range_offset_error_m=result.range_offset_error_m,
+        two_way_gain_db=result.two_way_gain_db,
+        two_way_gain_error_db=result.two_way_gain_error_db,
+    )
     say.written(out)
+
+
+def _bursts(
+    incoming: "Iterator[Received]", records: int | None
+) -> "Iterator[tuple[RadarRecord, Frame]]":
+    """What the bursts of so many radar records show, of all: None."""
+    from hardware.radar.process import frames
+    from hardware.records import RadarRecord
+
+    found = (each.record for each in incoming if isinstance(each.record, RadarRecord))
+    for record in itertools.islice(found, records):
+        for frame in frames(record):
+            yield record, frame
 
 
 def _check_positive(**options: float) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.output import Output, with_output
+from hardware.commands.quantities import quantity_of
 from hardware.commands.radar import (
     CfarMethod,
     ClutterShape,
@@ -25,13 +26,14 @@ from hardware.commands.radar import (
 from hardware.commands.records import (
     RadarSetup,
     Settings,
+    calibration_of,
     fault_in_brackets,
     is_log,
     log_of,
     records_of,
     warn_of_damage,
 )
-from hardware.errors import InputError
+from hardware.errors import InputError, check_positive
 
 if TYPE_CHECKING:
     from hardware.calibration import CameraCalibration, RadarCalibration
@@ -63,6 +65,14 @@ def process(
     radar_setup: RadarSetup = None,
     calibration: _CalibrationFiles = [],  # noqa: B006 (typer copies it)
     max_age: MaxAge = 30.0,
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the surfaces whose reflectance a camera's calibration tells, m, one for all "
+            "cells; default: its target's. One at d is told (distance / d)^2 of its reflectance.",
+            parser=quantity_of("m"),
+        ),
+    ] = None,
     records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
     false_alarm: FalseAlarm = None,
     cfar: CfarMethod = None,
@@ -108,7 +118,11 @@ def process(
             "--method beside --image-every"
         )
     image_motion = _image_motion(source, motion, rig, image_every)
-    camera, radar = _calibrations(calibration, max_age)
+    camera, radar = _calibrations(say, calibration, max_age)
+    if distance is not None:
+        if not camera:
+            raise InputError("--distance: is for a camera's --calibration")
+        check_positive("--distance", distance)
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
     write_results = partial(
         process_record,
@@ -119,6 +133,7 @@ def process(
         tracks=RadarTracks() if tracks or motion == "radar" else None,
         sliding=SlidingImages(image_every, image_motion) if image_every else None,  # type: ignore[arg-type]
         motion=image_motion,
+        distance_m=distance,
     )
     target, ending = out or _beside(source), Ending()
     # From a log, chunks are cut by their size alone: the same log gives the same bytes.
@@ -184,12 +199,12 @@ class _Processed:
 
 
 def _calibrations(
-    paths: list[Path], max_age_days: float
+    say: Output, paths: list[Path], max_age_days: float
 ) -> "tuple[CameraCalibration | None, RadarCalibration | None]":
     """The first of each kind. Raises InputError for one that is too old."""
-    from hardware.calibration import CameraCalibration, RadarCalibration, read_calibration
+    from hardware.calibration import CameraCalibration, RadarCalibration
 
-    loaded = [read_calibration(path, max_age_s=86400 * max_age_days) for path in paths]
+    loaded = [calibration_of(say, path, max_age_days) for path in paths]
     cameras = (each for each in loaded if isinstance(each, CameraCalibration))
     radars = (each for each in loaded if isinstance(each, RadarCalibration))
     return next(cameras, None), next(radars, None)

@@ -8,6 +8,7 @@ import typer
 
 from hardware.commands.output import Output, result_file, with_output
 from hardware.commands.quantities import quantity_of
+from hardware.commands.records import calibration_of
 from hardware.errors import InputError
 from hardware.formatting import counted, si
 
@@ -107,13 +108,13 @@ def detect(
     ] = None,
 ) -> None:
     """Detect targets: range, rate, angle, cross-section, each with its standard error."""
-    from hardware.calibration import RadarCalibration, read_calibration
+    from hardware.calibration import RadarCalibration
     from hardware.processing import calibrated
     from hardware.radar.output import table_rows, write_detections, write_png
     from hardware.radar.process import frames
     from hardware.records import read_radar_record
 
-    reference = read_calibration(calibration, max_age_s=86400 * max_age) if calibration else None
+    reference = calibration_of(say, calibration, max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
     how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)

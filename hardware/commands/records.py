@@ -11,6 +11,7 @@ from hardware.commands.output import Output
 if TYPE_CHECKING:
     import threading
 
+    from hardware.calibration import Calibration
     from hardware.drivers import SpiSettings
     from hardware.drivers.radio import Schedule
     from hardware.recording import Received
@@ -68,6 +69,16 @@ def setup_of(path: Path | None) -> "tuple[Schedule, RadarFrontEnd] | None":
     from hardware.drivers.radio.setup import read_setup
 
     return read_setup(path) if path else None
+
+
+def calibration_of(say: Output, path: Path, max_age_days: float) -> "Calibration":
+    """A calibration from its file; what was wrong with it is told again. Raises InputError."""
+    from hardware.calibration import read_calibration
+
+    calibration = read_calibration(path, max_age_s=86400 * max_age_days)
+    for warning in calibration.warnings:
+        say.warn(f"{path}: calibration: {warning}")
+    return calibration
 
 
 def flag_counts(flags: object) -> dict[str, int]:

@@ -86,6 +86,9 @@ class Detection:
         Elevations of those directions.
     power_error_w
         Standard error of the power; NaN where a detection of one's own does not tell it.
+    rcs_error_m2
+        Standard error of the cross-section by power and range, and by the calibration where there
+        is one; gain and losses that a record declares count as exact.
     """
 
     range_m: float
@@ -103,6 +106,7 @@ class Detection:
     azimuth_alternatives_rad: tuple[float, ...] = ()
     elevation_alternatives_rad: tuple[float, ...] = ()
     power_error_w: float = float("nan")
+    rcs_error_m2: float = float("nan")
 
     @classmethod
     def of(cls, echo: EchoMeasurement) -> "Detection":
@@ -320,6 +324,11 @@ def with_cross_section(
     slot_gain = float(waveform.slot_gain(np.array(doppler))) ** 2
     spread = (4 * np.pi) ** 3 * detection.range_m**4 * loss
     sent = transmit_power_w * gain**2 * waveform.wavelength_m**2 * slot_gain
-    return replace(
-        detection, rcs_m2=float(detection.power_w * spread / sent) if sent else float("nan")
-    )
+    if not sent:
+        return replace(detection, rcs_m2=float("nan"), rcs_error_m2=float("nan"))
+    rcs_m2 = float(detection.power_w * spread / sent)
+    relative = float("nan")
+    if rcs_m2:
+        by_power = detection.power_error_w / detection.power_w
+        relative = float(np.hypot(by_power, 4 * detection.range_error_m / detection.range_m))
+    return replace(detection, rcs_m2=rcs_m2, rcs_error_m2=rcs_m2 * relative)

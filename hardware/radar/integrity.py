@@ -78,13 +78,21 @@ def _levels(record: "RadarRecord", burst: int) -> list[str]:
     silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
     if silent:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
+    if told := saturation(record, burst):
+        warnings.append(told)
+    return warnings
+
+
+def saturation(record: "RadarRecord", burst: int) -> str:
+    """Samples at the converter's rail and slots that are flagged for it; empty where none is."""
+    iq, flags = record.iq[burst], record.flags[burst]
     clipped = 0
-    if highest >= _RAIL or lowest <= -_RAIL:
+    if iq.max(initial=0) >= _RAIL or iq.min(initial=0) <= -_RAIL:
         clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
     flagged = int(np.count_nonzero(flags & Flag.SATURATED))
-    if clipped or flagged:
-        warnings.append(
-            f"burst {burst}: {clipped} of {iq.size} samples stand at the converter's rail, "
-            f"{flagged} slots are flagged as saturated"
-        )
-    return warnings
+    if not (clipped or flagged):
+        return ""
+    return (
+        f"burst {burst}: {clipped} of {iq.size} samples stand at the converter's rail, "
+        f"{flagged} slots are flagged as saturated"
+    )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.files import whole_file
-from hardware.formatting import number, with_error
+from hardware.formatting import with_error
 from hardware.png import write_grey
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage
@@ -90,7 +90,7 @@ def _cells(d: Detection) -> tuple[str, ...]:
         ),
         _known(d.azimuth_rad, azimuth),
         f"{d.snr_db:.1f} dB",
-        _known(d.rcs_m2, f"{number(d.rcs_m2)} m^2"),
+        _known(d.rcs_m2, with_error(d.rcs_m2, d.rcs_error_m2, "m^2")),
         _alternatives(d),
     )
 

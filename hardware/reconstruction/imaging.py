@@ -282,7 +282,8 @@ def _error_of_the_constant(variance: Array, sensing: Sensing) -> Array:
     return np.asarray(np.sqrt(of_value)[:, None] * np.sqrt(variance))
 
 
-def _flagged(record: SpiRecord) -> Iterator[str]:
+def marked_exposures(record: SpiRecord) -> Iterator[str]:
+    """Exposures whose counts are not the light's: marked by the device, or at a rail."""
     n = record.flags.size
     for flag in Flag:
         if flag.name and (bad := int(np.count_nonzero(record.flags & flag))):
@@ -293,11 +294,15 @@ def _flagged(record: SpiRecord) -> Iterator[str]:
             f"{at_rail} of {n} exposures stand at an end of the converter's range, 0 or "
             f"{2**record.adc_bits - 1}, and are not marked saturated"
         )
+
+
+def _flagged(record: SpiRecord) -> Iterator[str]:
+    yield from marked_exposures(record)
     yield from record.time_warnings
     if left_out := record.n_left_out:
         yield (
-            f"{left_out} of {n + left_out} exposures that the device numbered are not in the "
-            "record: the image is right only if their patterns are left out as well"
+            f"{left_out} of {record.flags.size + left_out} exposures that the device numbered are "
+            "not in the record: the image is right only if their patterns are left out as well"
         )
 
 

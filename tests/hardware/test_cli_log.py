@@ -1,8 +1,7 @@
-"""The commands around the log, as a user runs them, and calibration."""
+"""The commands around the log, as a user runs them."""
 
 import csv
 import json
-import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -16,20 +15,12 @@ from ugv_command import SETTINGS, ugv
 
 import hardware
 from hardware import PatternSet, SpiRecord, own_patterns, reconstruct
-from hardware.calibration import (
-    CalibrationTarget,
-    CameraCalibration,
-    RadarCalibration,
-    read_calibration,
-    write_calibration,
-)
 from hardware.capture import capture
 from hardware.drivers import SpiCamera, SpiSettings
 from hardware.drivers.clock import ClockModel
 from hardware.drivers.messages import State
 from hardware.drivers.settings import read_settings, write_settings
 from hardware.patterns import Patterns
-from hardware.radar import Detection
 from hardware.recording import Log, read_messages, read_records
 from hardware.records import QuaternionPose, Shutter
 
@@ -297,68 +288,6 @@ def test_settings_are_read_as_written(tmp_path: Path, patterns: Patterns) -> Non
     )
     write_settings(written, tmp_path / "camera.toml")
     assert vars(read_settings(tmp_path / "camera.toml")) == vars(written)
-
-
-# Calibration.
-
-
-def test_reflectance_comes_out_of_any_light_and_any_dark(tmp_path: Path) -> None:
-    """Unequal cells, a dark image that is not zero; a surface twice as far away sends a quarter."""
-    rng = np.random.default_rng(0)
-    light, dark = rng.uniform(2000, 9000, 64), rng.uniform(0, 300, 64)
-    albedo = rng.uniform(0.05, 0.9, 64)
-    seen = [record(dark), record(dark + 0.5 * light), record(dark + albedo * light / 4)]
-    made = CameraCalibration.of(seen[0], seen[1], CalibrationTarget(distance_m=3.0, size=0.5))
-    write_calibration(made, tmp_path / "camera.h5")
-    loaded = read_calibration(tmp_path / "camera.h5", max_age_s=60)
-    assert isinstance(loaded, CameraCalibration)
-    image = reconstruct(seen[2], "zero-fill").image
-    found = loaded.reflectance(image, seen[2], 6.0)
-    np.testing.assert_allclose(found.ravel(), albedo, atol=0.01)  # counts are whole numbers
-    with pytest.raises(ValueError, match="device: calibrated 'camera', measured 'other'"):
-        loaded.reflectance(image, record(dark, "other"), 6.0)
-    with pytest.raises(ValueError, match="no brighter"):
-        CameraCalibration.of(seen[1], seen[0], CalibrationTarget(3.0, 0.5))
-
-
-def test_radar_range_and_cross_section(tmp_path: Path) -> None:
-    def echo(range_m: float, power_w: float) -> Detection:
-        return Detection(range_m, 0.0, power_w, 40.0, 1e-3, 1e-2)
-
-    constant, offset = 3e-12, 0.12
-    heard = [echo(2.0, 1e-9), echo(10 + offset, constant * 5 / 10**4), echo(30, 1e-16)]
-    write_calibration(
-        RadarCalibration.of("radar", heard, CalibrationTarget(10.0, 5.0)), tmp_path / "r.h5"
-    )
-    made = read_calibration(tmp_path / "r.h5")
-    assert isinstance(made, RadarCalibration)
-    other = echo(25 + offset, constant * 0.7 / 25**4)
-    corrected = made.corrected(other, WIDE)
-    assert corrected.range_m == pytest.approx(25)
-    assert corrected.rcs_m2 == pytest.approx(0.7)
-    # 12 m/s turn each of a slot's 37 repeats, of 1/15 MHz, by 2 v / lambda / 15 MHz of a cycle:
-    # what the Dirichlet kernel takes from their mean is put back.
-    x = np.pi * 2 * 12.0 / WIDE.wavelength_m / 15e6
-    kept = np.sin(37 * x) / (37 * np.sin(x))
-    moving = replace(other, range_rate_m_per_s=12.0, power_w=other.power_w * kept**2)
-    assert made.corrected(moving, WIDE).rcs_m2 == pytest.approx(0.7)
-    with pytest.raises(ValueError, match="none within 1 m of the target at 20 m"):
-        RadarCalibration.of("radar", heard, CalibrationTarget(20.0, 5.0))
-
-
-def test_an_old_calibration_is_refused(tmp_path: Path) -> None:
-    made = CameraCalibration.of(
-        record(np.zeros(64)), record(np.full(64, 1e3)), CalibrationTarget(1.0, 1.0)
-    )
-    old = replace(made, made_ns=time.time_ns() - 40 * 86400 * 10**9)
-    write_calibration(old, tmp_path / "old.h5")
-    with pytest.raises(ValueError, match=r"old\.h5: 40 days old, at most 30 are allowed"):
-        read_calibration(tmp_path / "old.h5", max_age_s=30 * 86400)
-    with pytest.raises(ValueError, match=r"distance_m: 0\.0"):
-        CalibrationTarget(0.0, 1.0)
-    (tmp_path / "none.h5").write_bytes(b"none")
-    with pytest.raises(ValueError, match=r"none\.h5"):
-        read_calibration(tmp_path / "none.h5")
 
 
 def test_a_negative_number_of_records_or_patterns_is_an_error(tmp_path: Path) -> None:
