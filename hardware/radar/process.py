@@ -230,7 +230,7 @@ def _points(
     """
     echo = with_noise_of_its_cell(echo, interval)
     if not np.any(extents(virtual_array(interval))[1:] > 0):
-        return [Detection.of(without_doppler_within_symbols(echo, interval.waveform))], True
+        return [_detection(echo, interval)], True
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
     bearing = direction(echo.amplitude, interval, rates, echo.noise)
@@ -240,7 +240,7 @@ def _points(
         delay_rate_alternatives=bearing.delay_rate_alternatives,
     )
     point = replace(
-        Detection.of(without_doppler_within_symbols(echo, interval.waveform)),
+        _detection(echo, interval),
         azimuth_rad=bearing.azimuth_rad,
         azimuth_error_rad=bearing.azimuth_error_rad,
         elevation_rad=bearing.elevation_rad,
@@ -254,6 +254,13 @@ def _points(
         echo.amplitude, interval, bearing.delay_rate, echo.noise, per_cell
     )
     return [_one_of(point, target, echo.power_w) for target in targets] or [point], fits
+
+
+def _detection(echo: EchoMeasurement, interval: DemodulatedBurst) -> Detection:
+    """The detection of an echo, without a direction."""
+    point = Detection.of(without_doppler_within_symbols(echo, interval.waveform))
+    error_m = float(np.hypot(point.range_error_m, interval.range_error_m))
+    return replace(point, range_error_m=error_m)
 
 
 def _one_of(point: Detection, target: CellTarget, power_w: float) -> Detection:
