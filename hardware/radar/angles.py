@@ -24,6 +24,7 @@ Flags = NDArray[np.bool_]
 _BETWEEN = 0.3
 _ALIKE = 1e-4  # difference of direction cosines of one lobe
 _UNEVEN = 1e-3  # power that calibration errors of the channels take from a single target's beam
+_FALSE_ALARM = 1e-4  # of a single target that is taken for several
 _ROUNDING = 1e-9  # of the power, where there is no noise
 _EQUALLY_LIKELY = 0.1  # difference of the logarithms of likelihoods that tells nothing
 
@@ -35,7 +36,8 @@ class Direction:
     NaN along an axis on which the array has no extent. ``delay_rate_alternatives``: rates that the
     phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
     ``delay_rate``. ``others``: direction cosines of other lobes of the array that noise may have
-    raised above the true one, likeliest first.
+    raised above the true one, likeliest first. ``fits``: whether what one direction leaves of the
+    amplitudes may be noise; else several targets, or one that is no point, share the cell.
     """
 
     left: float
@@ -45,6 +47,7 @@ class Direction:
     delay_rate: float
     delay_rate_alternatives: tuple[float, ...] = ()
     others: tuple[tuple[float, float], ...] = ()
+    fits: bool = True
 
     @property
     def elevation_rad(self) -> float:
@@ -69,15 +72,15 @@ class Direction:
     def azimuth_error_rad(self) -> float:
         """To first order; near the array's axis from the interval of the cosine."""
         level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
-        return _angle_error(self.left_error / max(level, 1e-9), np.cos(self.azimuth_rad))
+        return angle_error(self.left_error / max(level, 1e-9), np.cos(self.azimuth_rad))
 
     @property
     def elevation_error_rad(self) -> float:
         """To first order; near the array's axis from the interval of the cosine."""
-        return _angle_error(self.up_error, np.cos(self.elevation_rad))
+        return angle_error(self.up_error, np.cos(self.elevation_rad))
 
 
-def _angle_error(error: float, cosine: float) -> float:
+def angle_error(error: float, cosine: float) -> float:
     """Standard error of an angle, of that of its sine; near a right angle, where the first order
     has no bound, the farther of both ends of the sine's interval.
     """
@@ -123,13 +126,13 @@ def direction(
     apart_w = _between_transmitters(noise, phases, burst)
     snr = noise.signal_w(amplitude) / apart_w if apart_w else np.inf
     snr *= len(amplitude)
-    left_open = _possible_rates(share, snr, len(amplitude))
+    fits = fit_explains(amplitude, phases[:, None], noise)
+    left_open = snr * (share.max() - share) < CERTAIN if fits else np.ones(len(share), dtype=bool)
     left_open[best] = False
     others = np.empty((0, 2))
     if seen.any():
-        turn = compensate_motion(np.ones_like(amplitude), burst, rates[best])
-        at_rest = replace(noise, covariance_w=turn[:, None] * noise.covariance_w * turn.conj())
-        others = _other_lobes(turn * amplitude, cosines[best], places, seen, at_rest)
+        still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
+        others = _other_lobes(still, cosines[best], places, seen, at_rest)
     return Direction(
         float(left),
         float(up),
@@ -138,16 +141,8 @@ def direction(
         float(rates[best]),
         tuple(float(rate) for rate in rates[left_open]),
         tuple((float(left), float(up)) for left, up in np.where(seen, others, np.nan)),
+        fits,
     )
-
-
-def _possible_rates(share: Array, snr: float, n_channels: int) -> NDArray[np.bool_]:
-    """Which rates (n_rates,) the phases cannot exclude, by the shares one direction explains: none
-    is excluded where several echoes share the cell.
-    """
-    if not _is_single(float(share.max()), snr, n_channels):
-        return np.ones(len(share), dtype=bool)
-    return np.asarray(snr * (share.max() - share) < CERTAIN)
 
 
 def _other_lobes(
@@ -167,14 +162,12 @@ def _other_lobes(
     return lobes[lower <= CERTAIN * noise_w / power_w + _ROUNDING]
 
 
-def _is_single(share: float, snr: float, n_channels: int) -> bool:
-    """Whether a cell may hold a single target, by the share of its power that one direction
-    explains: the rest is noise then, half a chi-squared variable of 2 n - 4 degrees of freedom.
+def fit_explains(amplitude: Complex, phases: Complex, noise: ChannelNoise) -> bool:
+    """Whether echoes of phases (n_channels, n), fitted to the amplitudes, leave noise alone, and
+    what calibration errors of the channels make.
     """
-    from scipy.stats import chi2
-
-    freedom = max(2 * n_channels - 4, 1)
-    return bool(snr * (1 - share) <= chi2.isf(1e-3, freedom) / 2 + _UNEVEN * snr)
+    rest = amplitude - phases @ np.linalg.lstsq(phases, amplitude)[0]
+    return noise.explains(rest, phases, _UNEVEN * _power_w(amplitude), _FALSE_ALARM)
 
 
 def _between_transmitters(noise: ChannelNoise, phases: Complex, burst: DemodulatedBurst) -> float:
@@ -207,6 +200,15 @@ def compensate_motion(amplitude: Complex, burst: DemodulatedBurst, delay_rate: f
     """Amplitudes as if all transmitters had sent at the same time."""
     cycles = burst.waveform.carrier_hz * delay_rate * burst.tdm_offset_s
     return np.asarray(amplitude * np.exp(2j * np.pi * cycles))
+
+
+def at_one_time(
+    amplitude: Complex, noise: ChannelNoise, burst: DemodulatedBurst, delay_rate: float
+) -> tuple[Complex, ChannelNoise]:
+    """Amplitudes and their noise by `compensate_motion`."""
+    turn = compensate_motion(np.ones_like(amplitude), burst, delay_rate)
+    turned = turn[:, None] * noise.covariance_w * turn.conj()
+    return turn * amplitude, replace(noise, covariance_w=turned)
 
 
 def _power_w(amplitude: Complex) -> float:

@@ -52,6 +52,8 @@ class DemodulatedBurst:
         Device clock in the middle of the slots, from which ``waveform`` counts their times.
     range_per_rate_s, scatter_per_rate
         Of carrier steps, see `range_per_rate_s` and `scatter_per_rate`; with one carrier 0.
+    range_error_m
+        Of carrier steps, see `StitchedChannel`: in the stated error of every range.
     """
 
     channel: Complex
@@ -66,6 +68,7 @@ class DemodulatedBurst:
     leakage: Complex | None = None
     range_per_rate_s: float = 0.0
     scatter_per_rate: float = 0.0
+    range_error_m: float = 0.0
 
 
 def demodulate(
@@ -134,7 +137,7 @@ def demodulate(
             seen = snr > _SEEN
             if not seen:
                 leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
-    coupling_s = scatter = 0.0
+    coupling_s = scatter = range_error_m = 0.0
     cube = [
         _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
     ]
@@ -158,6 +161,7 @@ def demodulate(
         )
         wide_channel, wide, motion = stitched.channel, stitched.waveform, stitched.motion
         if has_reference:
+            range_error_m = stitched.range_error_m
             leakage_warnings += tuple(f"burst {burst}: {text}" for text in weak_reference(stitched))
     if leakage and np.isfinite(leakage_s):
         wide_channel = without_leakage(wide_channel, wide, leakage_s)
@@ -178,6 +182,7 @@ def demodulate(
         leakage=None if mode is None else mode.ravel(),
         range_per_rate_s=coupling_s,
         scatter_per_rate=scatter,
+        range_error_m=range_error_m,
     )
 
 

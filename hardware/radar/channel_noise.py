@@ -88,6 +88,32 @@ class ChannelNoise:
         ]
         return np.asarray(np.sqrt(np.real(powers) / (2 * self.signal_w(amplitude))))
 
+    def errors(self, weights: Complex) -> Array:
+        """Standard errors (n,) of the estimates Re(w^H a) of amplitudes a by weights w (n_channels,
+        n).
+        """
+        powers_w = [self.along(w) * np.vdot(w, w).real for w in weights.T]
+        return np.asarray(np.sqrt(np.array(powers_w) / 2))
+
+    def explains(self, rest: Complex, fitted: Complex, other_w: float, false_alarm: float) -> bool:
+        """Whether ``rest`` (n_channels,), what a fit of vectors (n_channels, n) leaves, may be
+        noise and ``other_w`` of power beside it.
+
+        Noise that channels share is a sum of exponentials of unlike means: a gamma distribution of
+        the same mean and variance stands for it (Satterthwaite 1946).
+        """
+        from scipy.special import gammainccinv
+
+        basis = np.linalg.qr(fitted)[0]
+        off = np.eye(len(rest)) - basis @ basis.conj().T
+        left = off @ self.covariance_w @ off
+        n_free = max(len(rest) - basis.shape[1], 1)
+        mean_w = max(float(np.trace(left).real), n_free * self.least_w)
+        square = float(np.vdot(left, left).real)
+        looks = min(float(np.trace(left).real) ** 2 / square, n_free) if square else float(n_free)
+        most_w = mean_w / looks * float(gammainccinv(looks, false_alarm))
+        return float(np.vdot(rest, rest).real) <= most_w + other_w
+
     def and_white(self, power_w: float) -> "ChannelNoise":
         """With white noise of so much power on every channel beside it."""
         more = power_w * np.eye(len(self.covariance_w))

@@ -95,6 +95,21 @@ def ambiguous(points: list[Detection]) -> list[str]:
     ]
 
 
+def mixed_directions(fits: Sequence[bool], how: Processing) -> list[str]:
+    """A warning of cells whose directions leave more than noise."""
+    count = fits.count(False)
+    if not count:
+        return []
+    if how.per_cell == 1:
+        several, beside = "one direction", " (per_cell resolves targets on an evenly spaced line)"
+    else:
+        several, beside = f"up to {how.per_cell} directions (per_cell)", ""
+    return [
+        f"direction: {count} of {len(fits)} echoes do not fit {several}, which their errors do not "
+        f"hold: several targets in a cell, or bodies that are no points{beside}"
+    ]
+
+
 def of_the_map(
     burst: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
 ) -> list[str]:

@@ -37,7 +37,7 @@ def music(
     """
     places = virtual_array(burst) / burst.waveform.wavelength_m
     line, spacing = _even_line(places)
-    size = part or -(-2 * len(line) // 3)
+    size = part or _part(len(line))
     if not 0 < n_targets < size or size + n_targets > len(line) + n_targets * (n_targets > 1):
         raise InputError(
             f"n_targets: {n_targets} of a line of {len(line)} places in parts of {size}"
@@ -45,6 +45,21 @@ def music(
     on_line = np.stack([amplitude[at].mean(axis=0) for at in line]).reshape(len(line), -1)
     noise = _noise_space(on_line, size, n_targets)
     return _roots(noise, n_targets, spacing)
+
+
+def most_targets(burst: DemodulatedBurst) -> int:
+    """Number of targets of one cell that `music` resolves at most."""
+    return _part(len(_even_line(virtual_array(burst) / burst.waveform.wavelength_m)[0])) - 1
+
+
+def line_spacing(burst: DemodulatedBurst) -> float:
+    """Of the places of its evenly spaced line, in wavelengths."""
+    return _even_line(virtual_array(burst) / burst.waveform.wavelength_m)[1]
+
+
+def _part(n_places: int) -> int:
+    """Length of the shifted parts by default."""
+    return -(-2 * n_places // 3)
 
 
 def _even_line(places: Array) -> tuple[list[NDArray[np.intp]], float]:

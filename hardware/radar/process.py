@@ -11,7 +11,7 @@ from hardware.blas import one_blas_thread
 from hardware.described import Described
 from hardware.errors import check_kind
 from hardware.radar.ambiguity import resolve_delay_rates
-from hardware.radar.angles import compensate_motion, direction, extents, virtual_array
+from hardware.radar.angles import direction, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
 from hardware.radar.clutter import without_static
@@ -20,6 +20,7 @@ from hardware.radar.detection import Detection, detect_echoes, with_cross_sectio
 from hardware.radar.detection_warnings import (
     ambiguous,
     coupled_ranges,
+    mixed_directions,
     moving_side_lobes,
     of_the_map,
     shifted_ranges,
@@ -29,11 +30,11 @@ from hardware.radar.detection_warnings import (
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
-from hardware.radar.music import music
 from hardware.radar.own_detection import detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.settings import Processing
+from hardware.radar.several_directions import CellTarget, targets_of_cell
 from hardware.radar.superresolution import split_targets
 from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
@@ -188,8 +189,14 @@ def _detections(
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
-    points = [point for echo in echoes for point in _points(echo, interval, how.per_cell)]
+    cells = [_points(echo, interval, how.per_cell) for echo in echoes]
+    points = [point for cell, _ in cells for point in cell]
+    if len(points) > len(cells):
+        points.sort(key=lambda point: -point.power_w)
+        warnings += too_many(burst, len(points), how)
+        points = points[: how.at_most]
     warnings += [
+        *mixed_directions([fits for _, fits in cells], how),
         *shifted_ranges(points, interval.waveform, how),
         *moving_side_lobes(points, interval, how),
     ]
@@ -213,14 +220,17 @@ def frames(
         yield frame
 
 
-def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) -> list[Detection]:
-    """The detection of an echo with its direction, or several from `music`.
+def _points(
+    echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int
+) -> tuple[list[Detection], bool]:
+    """The detection of an echo with its direction, or several of `targets_of_cell`, and whether
+    their directions leave noise alone.
 
     The array may exclude rates that migration cannot.
     """
     echo = with_noise_of_its_cell(echo, interval)
     if not np.any(extents(virtual_array(interval))[1:] > 0):
-        return [Detection.of(without_doppler_within_symbols(echo, interval.waveform))]
+        return [_detection(echo, interval)], True
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
     bearing = direction(echo.amplitude, interval, rates, echo.noise)
@@ -230,7 +240,7 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
         delay_rate_alternatives=bearing.delay_rate_alternatives,
     )
     point = replace(
-        Detection.of(without_doppler_within_symbols(echo, interval.waveform)),
+        _detection(echo, interval),
         azimuth_rad=bearing.azimuth_rad,
         azimuth_error_rad=bearing.azimuth_error_rad,
         elevation_rad=bearing.elevation_rad,
@@ -238,8 +248,31 @@ def _points(echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int) ->
         azimuth_alternatives_rad=tuple(other.azimuth_rad for other in bearing.alternatives),
         elevation_alternatives_rad=tuple(other.elevation_rad for other in bearing.alternatives),
     )
-    if per_cell == 1:
-        return [point]
-    still = compensate_motion(echo.amplitude, interval, bearing.delay_rate)
-    alone = replace(point, azimuth_alternatives_rad=(), elevation_alternatives_rad=())
-    return [replace(alone, azimuth_rad=float(a)) for a in music(still, interval, per_cell)]
+    if per_cell == 1 or bearing.fits:
+        return [point], bearing.fits
+    targets, fits = targets_of_cell(
+        echo.amplitude, interval, bearing.delay_rate, echo.noise, per_cell
+    )
+    return [_one_of(point, target, echo.power_w) for target in targets] or [point], fits
+
+
+def _detection(echo: EchoMeasurement, interval: DemodulatedBurst) -> Detection:
+    """The detection of an echo, without a direction."""
+    point = Detection.of(without_doppler_within_symbols(echo, interval.waveform))
+    error_m = float(np.hypot(point.range_error_m, interval.range_error_m))
+    return replace(point, range_error_m=error_m)
+
+
+def _one_of(point: Detection, target: CellTarget, power_w: float) -> Detection:
+    """One target of a cell whose power is ``power_w`` and whose detection as one is ``point``."""
+    share = target.power_w / power_w
+    return replace(
+        point,
+        power_w=share * point.power_w,
+        power_error_w=target.power_error_w / power_w * point.power_w,
+        snr_db=point.snr_db + 10 * float(np.log10(share)),
+        azimuth_rad=target.azimuth_rad,
+        azimuth_error_rad=target.azimuth_error_rad,
+        azimuth_alternatives_rad=target.alternatives_rad,
+        elevation_alternatives_rad=(float("nan"),) * len(target.alternatives_rad),
+    )

@@ -33,7 +33,9 @@ class Processing:
     resolve
         Split detections into targets nearer than a cell, see `resolve`.
     per_cell
-        Targets of one range and rate to resolve by angle with `music`; 1 is plain beamforming.
+        Targets of one range and rate to resolve by angle at most, on an evenly spaced line of
+        antennas, see `targets_of_cell`; 1 is plain beamforming. Range and rate are those of the
+        cell.
     reference_delay_s, range_rate_m_per_s
         For carrier steps, see `stitch`. The delay is negative where the reference arrives before
         the clock's zero.
