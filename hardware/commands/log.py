@@ -142,7 +142,8 @@ def export(
     for received in read_records(path, ending):
         if isinstance(received.record, RadarRecord):
             out.mkdir(parents=True, exist_ok=True)
-            export_sigmf(received.record, out / f"radar-{n:06d}", received.clock)
+            host_ns = received.clock.host_ns if received.clock else None
+            export_sigmf(received.record, out / f"radar-{n:06d}", host_ns)
             n += 1
     if not n:
         raise InputError(f"{path}: no radar record in it{fault_in_brackets(ending)}")

@@ -1,9 +1,9 @@
 """Radar IQ as SigMF, one capture per burst and carrier step: what tools for radio read."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,24 +12,21 @@ from hardware.files import naming
 from hardware.records.container import Flag
 from hardware.records.radar import RadarRecord
 
-if TYPE_CHECKING:
-    from hardware.drivers.clock import ClockModel
-
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 #: Transmitters of slots that are told one by one; longer turns are told by their beginning.
 _MOST_TURN = 64
 
 
 def export_sigmf(
-    record: RadarRecord, stem: str | Path, clock: "ClockModel | None" = None
+    record: RadarRecord, stem: str | Path, host_ns: Callable[[int], int] | None = None
 ) -> tuple[Path, Path]:
     """Write ``STEM.sigmf-data`` (interleaved 16-bit I and Q) and ``STEM.sigmf-meta``.
 
     Receivers are the channels, interleaved sample by sample. Slots follow each other without the
     pauses between them: one symbol each, sampled at the bandwidth. A capture begins at the first
     slot of each burst and carrier step; its ``core:global_index`` counts samples from the record's
-    first slot by the device's clock, pauses included, and its ``core:datetime`` is there where a
-    ``clock`` tells the host's time. Slots with flags are annotated. Needs the package `sigmf`
+    first slot by the device's clock, pauses included, and its ``core:datetime`` is there where
+    ``host_ns`` tells the host's time of a device time. Slots with flags are annotated. Needs the package `sigmf`
     (``pip install ugv-twin[sigmf]``).
 
     Both files or none. Raises FileExistsError, before anything is written, where either exists;
@@ -44,7 +41,7 @@ def export_sigmf(
     try:
         with naming(data), data.open("wb") as file:
             file.write(np.ascontiguousarray(np.moveaxis(record.iq, 3, 4), dtype="<i2").data)
-        described = _described(sigmf, record, data, clock)
+        described = _described(sigmf, record, data, host_ns)
         with naming(meta):
             described.tofile(str(meta))
     except BaseException:
@@ -54,7 +51,9 @@ def export_sigmf(
     return data, meta
 
 
-def _described(sigmf: Any, record: RadarRecord, data: Path, clock: "ClockModel | None") -> Any:
+def _described(
+    sigmf: Any, record: RadarRecord, data: Path, host_ns: Callable[[int], int] | None
+) -> Any:
     """The metadata of a data file, as the library's own object."""
     wave = record.waveform
     n_bursts, n_steps, n_slots, n_receivers = record.iq.shape[:4]
@@ -81,8 +80,8 @@ def _described(sigmf: Any, record: RadarRecord, data: Path, clock: "ClockModel |
             sigmf.FREQUENCY_KEY: carrier,
             sigmf.GLOBAL_INDEX_KEY: max(round(since_s * wave.bandwidth_hz), 0),
         }
-        if clock is not None:
-            told[sigmf.DATETIME_KEY] = _utc(clock.host_ns(starts_ns[capture]))
+        if host_ns is not None:
+            told[sigmf.DATETIME_KEY] = _utc(host_ns(starts_ns[capture]))
         file.add_capture(capture * n_slots * wave.n_subcarriers, metadata=told)
     for first, count, flags in _flagged(record.flags.reshape(-1)):
         names = ", ".join(flag.name.lower() for flag in Flag(flags) if flag.name)
@@ -102,9 +101,9 @@ def _turns(record: RadarRecord) -> str:
     return f"transmitters by turns {shown}{', ...' * (turn > _MOST_TURN)}"
 
 
-def _utc(host_ns: int) -> str:
+def _utc(time_ns: int) -> str:
     """ISO 8601 of a host's time, to the microsecond."""
-    return (_EPOCH + timedelta(microseconds=host_ns // 1000)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return (_EPOCH + timedelta(microseconds=time_ns // 1000)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def _flagged(flags: NDArray[np.uint8]) -> Iterator[tuple[int, int, int]]:

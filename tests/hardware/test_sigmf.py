@@ -55,7 +55,7 @@ def test_sigmf_has_receivers_as_channels_and_says_what_is_wrong_with_slots(tmp_p
     record.flags[0, 1, 2:] = Flag.OVERRUN
     record.flags[1, 0, 0] = Flag.OVERRUN | Flag.SATURATED
     clock = ClockModel(0, -1_800_000_000_000_000_000, 0.0, 0.0)  # 2027-01-15T08:00 UTC at 0
-    _, meta = export_sigmf(record, tmp_path / "radar", clock)
+    _, meta = export_sigmf(record, tmp_path / "radar", clock.host_ns)
     file = sigmf.fromfile(str(meta))
     file.validate()
     heard = np.asarray(file.read_samples()) * 2**15
