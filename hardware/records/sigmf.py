@@ -26,8 +26,8 @@ def export_sigmf(
     pauses between them: one symbol each, sampled at the bandwidth. A capture begins at the first
     slot of each burst and carrier step; its ``core:global_index`` counts samples from the record's
     first slot by the device's clock, pauses included, and its ``core:datetime`` is there where
-    ``host_ns`` tells the host's time of a device time. Slots with flags are annotated. Needs the package `sigmf`
-    (``pip install ugv-twin[sigmf]``).
+    ``host_ns`` tells the host's time of a device time. Slots with flags are annotated. Needs the
+    package `sigmf` (``pip install ugv-twin[sigmf]``).
 
     Both files or none. Raises FileExistsError, before anything is written, where either exists;
     OSError, with the file, where it cannot be written.
