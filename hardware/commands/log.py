@@ -125,7 +125,14 @@ def export(
     path: Annotated[Path, typer.Argument(help="A log.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the SigMF recordings.")],
 ) -> None:
-    """Write the radar records of a log as SigMF."""
+    """Write the radar records of a log as SigMF: 16-bit I and Q, receivers interleaved as channels.
+
+    Slots follow each other without the pauses between them. A capture begins with each burst and
+    carrier step: its frequency, its time where the log tells the device's clock
+    (core:datetime), and its sample among all since the record's first, pauses included
+    (core:global_index). Annotations name the flags of slots: saturated, overrun. The turns of the
+    transmitters are in the description.
+    """
     from hardware.recording import read_records
     from hardware.recording.reading import Ending
     from hardware.records import RadarRecord
@@ -135,7 +142,8 @@ def export(
     for received in read_records(path, ending):
         if isinstance(received.record, RadarRecord):
             out.mkdir(parents=True, exist_ok=True)
-            export_sigmf(received.record, out / f"radar-{n:06d}")
+            host_ns = received.clock.host_ns if received.clock else None
+            export_sigmf(received.record, out / f"radar-{n:06d}", host_ns)
             n += 1
     if not n:
         raise InputError(f"{path}: no radar record in it{fault_in_brackets(ending)}")

@@ -263,6 +263,7 @@ def spectrogram(
     from hardware.radar import spectrogram as spectrogram_of
     from hardware.radar import spectrogram_of_intervals
     from hardware.radar.output import write_png, write_spectrogram
+    from hardware.radar.spectrogram import FALSE_ALARM
 
     over_all = record.suffix == ".mcap" and burst is None
     if over_all and window_slots is not None:
@@ -281,17 +282,19 @@ def spectrogram(
         which = f"burst {wanted}"
     ridge = seen.range_rate_m_per_s[seen.power_w.argmax(axis=0)]
     peak_dbm = 10 * np.log10(1e3 * seen.power_w.max()) if seen.power_w.any() else -np.inf
-    say.verdict(
-        f"{record}: {which}: at {si(at, 'm')} the strongest range rate goes from "
-        f"{ridge.min():+.3f} to {ridge.max():+.3f} m/s; peak {peak_dbm:.1f} dBm"
-    )
+    least, most = (ridge.min(), ridge.max()) if seen.shows_echo else (np.nan, np.nan)
+    shown = f"the strongest range rate goes from {least:+.3f} to {most:+.3f} m/s"
+    if not seen.shows_echo:
+        chance = f"in {100 * FALSE_ALARM:g} % of spectrograms at most noise alone is stronger"
+        shown = f"no echo is above the noise ({chance})"
+    say.verdict(f"{record}: {which}: at {si(at, 'm')} {shown}; peak {peak_dbm:.1f} dBm")
     say.add(
         record=record,
         burst=wanted,
         figures=[
             {"name": "range", "unit": "m", "value": at},
-            {"name": "strongest range rate, least", "unit": "m/s", "value": ridge.min()},
-            {"name": "strongest range rate, most", "unit": "m/s", "value": ridge.max()},
+            {"name": "strongest range rate, least", "unit": "m/s", "value": least},
+            {"name": "strongest range rate, most", "unit": "m/s", "value": most},
             {"name": "peak", "unit": "dBm", "value": peak_dbm},
         ],
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hardware.described import Described
 from hardware.errors import InputError
 from hardware.radar.burst import DemodulatedBurst, demodulate
+from hardware.radar.grating import told as grating_lobes_told
 from hardware.records.state import positions, rotations
 from hardware.waveform import C_M_PER_S
 
@@ -41,8 +42,10 @@ class Wall:
                 f"wall: thickness {self.thickness_m} m and permittivity {self.permittivity}, "
                 "expected finite numbers of at least 0 and 1"
             )
-        if not np.isfinite(self.distance_m):
-            raise InputError(f"wall: distance {self.distance_m} m, expected a finite number")
+        if not 0 <= self.distance_m < np.inf:
+            raise InputError(
+                f"wall: distance {self.distance_m} m, expected a finite number of at least 0"
+            )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,12 +97,14 @@ def image(
     leakage
         Subtract the record's leakage, where its delay is known.
 
-    Raises InputError when the first burst is incomplete.
+    Raises InputError when the first burst is incomplete, and for cells beyond what subcarriers can
+    tell, which show nearer echoes once more.
     """
     bursts, warnings = _whole_bursts(record, leakage)
     cells, places, rotations_in_frame = _in_middle_frame(
         record, len(bursts), down_range_m, cross_range_m
     )
+    _check_range(cells, places, bursts[0].waveform.max_range_m)
     value = np.zeros((len(down_range_m), len(cross_range_m)), dtype=np.complex128)
     for burst, place, turn in zip(bursts, places, rotations_in_frame, strict=True):
         one_way_delay_s: dict[bytes, Array] = {}
@@ -119,6 +124,8 @@ def image(
     across_m = cross_resolution_m(distance, wave.wavelength_m, places)
     if across_m > np.ptp(cross_range_m) > 0:
         warnings += (_short_track(len(bursts), len(bursts[0].channel), across_m),)
+    middle_m = np.array([np.mean(down_range_m), np.mean(cross_range_m), 0.0])
+    warnings += grating_lobes_told(_centres(bursts, places, rotations_in_frame), middle_m, wave)
     return RadarImage(
         value=value / sum(len(burst.channel) for burst in bursts),
         down_range_m=np.asarray(down_range_m, dtype=np.float64),
@@ -135,6 +142,26 @@ def cross_resolution_m(distance_m: float, wavelength_m: float, places_m: Array) 
     """Eq. 6 of the paper: d lambda / (2 L); infinite for a single place."""
     length = float(np.ptp(places_m[:, 1]))
     return distance_m * wavelength_m / (2 * length) if length else float("inf")
+
+
+def _check_range(cells_m: Array, places_m: Array, max_range_m: float) -> None:
+    """Raise InputError where a cell is farther from a place of the track than can be told."""
+    corners = cells_m[[0, 0, -1, -1], [0, -1, 0, -1]]
+    farthest_m = float(np.linalg.norm(corners[:, None] - places_m, axis=-1).max())
+    if farthest_m > max_range_m:
+        raise InputError(
+            f"image: cells up to {farthest_m:.4g} m away, expected 0 to {max_range_m:.4g}"
+        )
+
+
+def _centres(bursts: list[DemodulatedBurst], places_m: Array, axes: Array) -> Array:
+    """Middles of transmitter and receiver of all bursts and pairs, (n, 3)."""
+    return np.concatenate(
+        [
+            place + (burst.transmitter_m + burst.receiver_m) / 2 @ turn.T
+            for burst, place, turn in zip(bursts, places_m, axes, strict=True)
+        ]
+    )
 
 
 def _short_track(n_bursts: int, n_pairs: int, across_m: float) -> str:

@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.radar.demodulation import Complex
-from hardware.radar.windows import normalised_window
+from hardware.radar.range_doppler import range_doppler
+from hardware.radar.windows import noise_gain, normalised_window
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
 
 _PER_INTERVAL = 8  # windows side by side in an interval, by default
 _FINER = 4  # rates per resolution cell of a window
+#: Share of spectrograms of noise alone that seem to show an echo, at most.
+FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +34,24 @@ class Spectrogram:
     received from it. ``range_rate_m_per_s`` (n_rates,) ascends, positive when the target recedes,
     within what slots can tell apart. ``time_s`` (n_times,): middles of windows, from the interval's
     middle on, or from the first interval's. ``range_m`` is that at which it was taken, first.
+    ``noise_w`` (n_times,): mean noise of a cell, by the median of the interval's range-Doppler map;
+    ``n_ranges`` of which a cell has the strongest.
     """
 
     power_w: Array
     range_rate_m_per_s: Array
     time_s: Array
     range_m: float
+    noise_w: Array
+    n_ranges: int = 1
+
+    @property
+    def shows_echo(self) -> bool:
+        """Whether a cell is above what white noise alone reaches anywhere, in `FALSE_ALARM` of all
+        spectrograms at most: the chances of all cells, exponential each, added up.
+        """
+        above_mean = np.log(self.power_w.size * self.n_ranges / FALSE_ALARM)
+        return bool((self.power_w > above_mean * self.noise_w).any())
 
 
 def spectrogram(
@@ -102,7 +117,16 @@ def spectrogram(
     power = (np.fft.fftshift(strongest, axes=0) / length) ** 2
     middle: Array = np.arange(first, last, dtype=np.float64) + (length - 1) / 2 - length // 2
     time_s: Array = (middle - (slots - 1) / 2) * waveform.slot_period_s
-    return Spectrogram(power[::-1], rate[::-1], time_s, range_m)
+    noise_w = np.full(len(time_s), _noise_w(channel, waveform, taper, window))
+    return Spectrogram(power[::-1], rate[::-1], time_s, range_m, noise_w, len(at_ranges))
+
+
+def _noise_w(channel: Complex, waveform: OfdmWaveform, taper: Array, window: Array) -> float:
+    """Mean noise of a cell at one range: that of a range-Doppler map, by both windows' gains."""
+    name, shape = "blackmanharris", channel.shape
+    white_w = range_doppler(channel, waveform, name).noise_w / noise_gain(name, shape)
+    shorter = shape[1] / len(window)
+    return float(white_w * np.mean(taper**2) * np.mean(window**2) * shorter)
 
 
 def _ranges(range_m: float, span_m: float, waveform: OfdmWaveform) -> Array:
@@ -151,4 +175,6 @@ def spectrogram_of_intervals(
         raise InputError("spectrogram: times of intervals do not ascend")
     power: Array = np.concatenate([seen.power_w for seen in spectra], axis=1)
     since_first: Array = np.array(times) - times[0]
-    return Spectrogram(power, spectra[0].range_rate_m_per_s, since_first, range_m)
+    noise: Array = np.concatenate([seen.noise_w for seen in spectra])
+    rates, n_ranges = spectra[0].range_rate_m_per_s, spectra[0].n_ranges
+    return Spectrogram(power, rates, since_first, range_m, noise, n_ranges)

@@ -218,7 +218,8 @@ def test_export_writes_one_capture_a_step(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     names = sorted(path.name for path in (tmp_path / "iq").iterdir())
     assert names == ["radar-000000.sigmf-data", "radar-000000.sigmf-meta"]
-    assert (tmp_path / "iq" / names[0]).read_bytes() == made.iq.astype("<i2").tobytes()
+    interleaved = np.moveaxis(made.iq, 3, 4).astype("<i2")  # receivers within each sample
+    assert (tmp_path / "iq" / names[0]).read_bytes() == interleaved.tobytes()
     assert len(json.loads((tmp_path / "iq" / names[1]).read_text())["captures"]) == 6
 
 

@@ -321,54 +321,6 @@ def test_a_radar_record_is_no_optical_one(tmp_path: Path) -> None:
         read_record(tmp_path / "r.h5")
 
 
-@pytest.mark.library("sigmf")
-def test_sigmf_is_read_back_by_its_own_library(tmp_path: Path) -> None:
-    import sigmf
-
-    from hardware.records.sigmf import export_sigmf
-
-    record = record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9)
-    _, meta = export_sigmf(record, tmp_path / "radar")
-    file = sigmf.fromfile(str(meta))
-    file.validate()
-    samples = np.asarray(file.read_samples()) * 2**15  # it scales to +/- 1
-    counts = record.iq.astype(float).reshape(-1, 2)
-    np.testing.assert_allclose(samples, counts[:, 0] + 1j * counts[:, 1], atol=1e-6)
-    assert file.get_captures()[0]["core:frequency"] == 79e9
-
-
-@pytest.mark.library("sigmf")
-@pytest.mark.parametrize("kind", ["data", "meta"])
-def test_a_sigmf_recording_is_never_written_over(tmp_path: Path, kind: str) -> None:
-    """Whichever half is there already: nothing changes, and no half of another pair joins it."""
-    from hardware.records.sigmf import export_sigmf
-
-    there = tmp_path / f"radar.sigmf-{kind}"
-    there.write_bytes(b"old")
-    record = record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9)
-    with pytest.raises(FileExistsError, match=rf"radar\.sigmf-{kind}: exists already"):
-        export_sigmf(record, tmp_path / "radar")
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
-
-
-@pytest.mark.library("sigmf")
-def test_half_a_sigmf_recording_is_never_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The metadata cannot be written: the data goes too."""
-    import sigmf
-
-    from hardware.records.sigmf import export_sigmf
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(sigmf.SigMFFile, "tofile", full)
-    with pytest.raises(OSError, match="No space left"):
-        export_sigmf(record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9), tmp_path / "radar")
-    assert not list(tmp_path.iterdir())
-
-
 # Long statistics.
 
 

@@ -93,7 +93,7 @@ def test_what_an_image_without_a_track_shows_is_told(pose, antennas, told: str) 
     assert told in found.warnings[-1]
     alike = np.ptp(np.abs(found.value[[0, 0], [0, 100]])) < 1e-3 * np.abs(found.value).max()
     assert alike or found.shows_directions
-    assert not image(cube(BAND, [Echo((0.9, 0.2, 0))], pose=track(5, 0.96)), DOWN, CROSS).warnings
+    assert not image(cube(BAND, [Echo((0.9, 0.2, 0))], pose=track(33, 0.96)), DOWN, CROSS).warnings
 
 
 def test_the_wall_bends_rays_by_the_shortest_optical_way() -> None:
@@ -134,11 +134,65 @@ def test_focus_through_a_wall() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5), (1.0, np.inf, 4.0), (np.nan, 0.1, 4.0)]
+    "values",
+    [(1.0, -0.1, 4.0), (1.0, 0.1, 0.5), (1.0, np.inf, 4.0), (np.nan, 0.1, 4.0), (-1.0, 0.1, 4.0)],
 )
 def test_impossible_walls(values) -> None:
     with pytest.raises(ValueError, match=r"wall: (thickness|distance)"):
         Wall(*values)
+
+
+def _copies(record, place_m: tuple[float, float]) -> list[tuple[float, float]]:
+    """Distance from a point's place and level in dB of what its image shows beside it, by a scan of
+    the whole image: the highest over down-range of each cross-range, with its own maxima.
+    """
+    down, cross = np.arange(0.4, 2.8, 0.02), np.arange(-1.4, 1.4, 0.005)
+    height = np.abs(image(record, down, cross).value).max(axis=0)
+    tops = 1 + np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] > height[2:]))
+    own = tops[np.argmin(np.abs(cross[tops] - place_m[1]))]
+    beside = [k for k in tops if k != own]
+    return [(abs(cross[k] - cross[own]), 20 * np.log10(height[k] / height[own])) for k in beside]
+
+
+@pytest.mark.parametrize(
+    ("n_stops", "antennas"), [(5, {}), (9, {}), (4, {"receivers_m": np.array([[0, 0.02, 0]])})]
+)
+def test_copies_of_stops_too_far_apart_are_told(n_stops: int, antennas) -> None:
+    """Stops 0.2 m apart at 60 mm of wavelength: an echo shows again 0.15 of its distance beside
+    itself. Distance within a resolution cell and level within 1 dB of the image's own.
+    """
+    far = replace(BAND, carrier_hz=5e9)
+    record = cube(
+        far, [Echo((1.2, 0.0, 0.0))], pose=track(n_stops, 0.2 * (n_stops - 1)), **antennas
+    )
+    (warned,) = [
+        text
+        for text in image(record, np.linspace(1.0, 1.4, 21), np.linspace(-0.4, 0.4, 21)).warnings
+        if "grating lobes" in text
+    ]
+    found = re.search(
+        r"apart across the view, .* again (\d+) mm beside itself, at (-[\d.]+) dB", warned
+    )
+    distance_m, level_db = float(found[1]) / 1e3, float(found[2])
+    seen = max(_copies(record, (1.2, 0.0)), key=lambda copy: copy[1])
+    assert "stops lie up to 200 mm apart" in warned
+    assert distance_m == pytest.approx(seen[0], abs=0.1)
+    assert level_db == pytest.approx(seen[1], abs=1.0)
+
+
+@pytest.mark.parametrize("step_wavelengths", [0.1, 0.25, 0.49])
+def test_dense_tracks_have_no_copies_to_tell(step_wavelengths: float) -> None:
+    step_m = step_wavelengths * C / BAND.carrier_hz
+    record = cube(BAND, [Echo((1.0, 0.0, 0.0))], pose=track(17, 16 * step_m))
+    assert not any("grating" in text for text in image(record, DOWN, CROSS).warnings)
+
+
+def test_cells_beyond_what_subcarriers_tell_are_refused() -> None:
+    """30 m by 5 MHz: a cell there shows what is 30 m nearer."""
+    record = cube(BAND, [Echo((1.0, 0.0, 0.0))], pose=track(9, 0.4))
+    image(record, np.array([29.9]), CROSS)
+    with pytest.raises(ValueError, match=r"cells up to 30\.0\d m away, expected 0 to 29\.98"):
+        image(record, np.array([29.0, 30.01]), np.array([0.0]))
 
 
 def test_the_image_stops_at_the_first_broken_burst() -> None:

@@ -188,3 +188,36 @@ def test_the_command_reads_a_log(tmp_path: Path) -> None:
         wrong = ugv("spectrogram", file, "--at", "9 m", *more)
         assert wrong.returncode == 2
         assert said_of in wrong.stderr
+
+
+def test_noise_alone_shows_no_echo_as_often_as_stated() -> None:
+    """150 spectrograms of white noise: the mean power is what `noise_w` says, within 5 %, and
+    at most 1 % show an echo (1.5 expected at most; 8 come by a chance of 2e-4). An echo
+    12 dB above what is told is shown by all of 40.
+    """
+    wave, rng = replace(WIDE, n_slots=32), np.random.default_rng(3)
+    shape = (150, wave.n_subcarriers, wave.n_slots)
+    noise = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * np.sqrt(3.0 / 2)
+    seen = [spectrogram(part, wave, 5.0, 8, span_m=0.02) for part in noise]
+    one = [spectrogram(part, wave, 5.0, 8) for part in noise[:100]]
+    assert np.mean([s.power_w.mean() for s in one]) == pytest.approx(
+        np.mean([s.noise_w[0] for s in one]), rel=0.05
+    )
+    assert sum(s.shows_echo for s in seen) < 8
+    level = np.log(seen[0].power_w.size * seen[0].n_ranges / 0.01) * seen[0].noise_w[0]
+    frequency = wave.carrier_hz + wave.frequency_offsets_hz
+    point = np.exp(-2j * np.pi * (frequency * 2 * 5.0 / C_M_PER_S % 1.0))[:, None]
+    heard = [noise[k] + np.sqrt(16 * level) * point for k in range(40)]
+    assert all(spectrogram(part, wave, 5.0, 8, span_m=0.02).shows_echo for part in heard)
+
+
+def test_the_command_gives_no_rates_of_noise(tmp_path: Path) -> None:
+    """An echo at 9 m: at 5 m there is none, and no range rate is told."""
+    file = tmp_path / "radar.h5"
+    write_radar_record(cube(WIDE, [Echo((9.0, 0, 0), 1e-10, (7.0, 0, 0))], noise_w=1e-11), file)
+    for at, heard in (("9 m", True), ("5 m", False)):
+        said = ugv("spectrogram", file, "--at", at, "--json")
+        assert not said.returncode, said.stderr
+        assert ("no echo is above the noise (in 1 % of" in said.stderr) != heard
+        rates = [f["value"] for f in json.loads(said.stdout)["figures"] if "rate" in f["name"]]
+        assert all((rate is not None) == heard for rate in rates)

@@ -72,13 +72,18 @@ class TrackPicture:
 
 
 def track_picture(scene: Scene, radar: RadarDesign, record: RadarRecord) -> TrackPicture | None:
-    """Picture of the true targets' surroundings; None without a track or targets."""
+    """Picture of the true targets' surroundings; None without a track or targets, and where these
+    lie beyond what the radar's subcarriers can tell.
+    """
     if len(record.iq) == 1 or not scene.targets:
         return None
     origin, axes = _middle(record.pose)
     places = (np.array([t.position_m for t in scene.targets]) - origin) @ axes.T
     low, high = places[:, :2].min(axis=0) - _MARGIN_M, places[:, :2].max(axis=0) + _MARGIN_M
     down, cross = (np.linspace(a, b, _CELLS) for a, b in zip(low, high, strict=True))
+    far_m = np.hypot(high[0], np.abs([low[1], high[1]]).max()) + np.ptp(positions(record.pose))
+    if far_m > record.waveform.max_range_m:
+        return None
     focused = image(record, down[down > 0], cross)
     return TrackPicture(
         image=focused,
