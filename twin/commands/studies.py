@@ -311,7 +311,11 @@ def trade(
         typer.Option(help="Folder; default runs/trade-SCENE-SYSTEM and what is not the default."),
     ] = None,
 ) -> None:
-    """Measure time, memory and error of every fidelity level on a scene, and choose one."""
+    """Measure time, memory and error of every fidelity level on a scene, and choose one.
+
+    It takes minutes: each level is computed several times, the reference of the light five times
+    with 4 million paths or more. `--verbose` tells each level as it is finished.
+    """
     from twin.errors import InputError
     from twin.fidelity import Tolerance
     from twin.trade import run_trade
@@ -325,6 +329,8 @@ def trade(
             f"--tolerance: {tolerance!r:.60}: errors of all levels are measured over the sensors' "
             "noise, expected a share of it (0.2)"
         )
+    if not say.verbose:
+        say.line("note: every level is computed several times, which takes minutes; -v tells each")
     found, folder = run_trade(
         scene,
         system,
