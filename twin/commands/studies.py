@@ -218,16 +218,20 @@ def _tell_sensitivities(
     say: Output, data: "xarray.Dataset", metric: str, *, void: bool
 ) -> "Figure":
     """What moves a metric most, as lines and as a picture."""
-    from twin.sweep.sensitivity import sensitivities
+    from twin.sweep.sensitivity import incomplete_blocks, sensitivities
     from twin.sweep.show import plot_sensitivities
 
     shares = sensitivities(data, metric, void=void)
     ordered = sorted(shares.items(), key=lambda item: -item[1].first)
     for name, share in ordered:
         say.verdict(f"variance of {metric}, {share}: {name}")
+    approximate = incomplete_blocks(data, metric, void=void)
+    if approximate:
+        say.warn(f"variance of {metric}: {approximate}", is_loss=True)
     say.add(
         metric=metric,
         sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
+        approximate=approximate or None,
     )
     return plot_sensitivities(data, metric, shares, void=void)
 
