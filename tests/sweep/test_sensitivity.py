@@ -1,15 +1,18 @@
 """Sensitivities: shares of variance that are known in closed form, inside their intervals."""
 
+import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
 
+from twin import cli
 from twin.files import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.dataset import Progress, dataset
-from twin.sweep.sensitivity import Share, sensitivities
+from twin.sweep.sensitivity import Share, incomplete_blocks, sensitivities
 from twin.sweep.show import plot_sensitivities
 
 REFLECTANCE, DISTANCE, NOTHING = (
@@ -132,6 +135,46 @@ def test_interactions_are_told_by_the_total_order(tmp_path: Path) -> None:
         assert abs(share.total - total) < share.total_error
         assert share.total_error < 0.1
     assert shares[2].first + shares[2].first_error < shares[2].total - shares[2].total_error
+
+
+def test_blocks_left_out_for_void_points_are_said_with_the_shares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """SNR over f-number and distance, near walls saturated, all points known over a grid too: the
+    first order of the f-number of all points is in its interval with void points, and beyond it
+    where their blocks are left out, which is said.
+    """
+    head = 'model = "closed-form"\nmetrics = ["snr"]\n[set]\n"link.reflectance" = 0.8\n'
+    middles = (np.arange(40) + 0.5) / 40
+    grid, drawn = tmp_path / "grid.toml", tmp_path / "drawn.toml"
+    f_numbers, distances = (0.8 + 1.2 * middles).tolist(), (1 + 3 * middles).tolist()
+    f_number = "system.optics.f_number"
+    grid.write_text(f'{head}[grid]\n"{f_number}" = {f_numbers}\n"{DISTANCE}" = {distances}\n')
+    drawn.write_text(
+        f'{head}[sample]\nmethod = "saltelli"\nn = 512\n[sample.ranges]\n'
+        f'"{f_number}" = {{ low = 0.8, high = 2.0 }}\n"{DISTANCE}" = {{ low = 1.0, high = 4.0 }}\n'
+    )
+    run_sweep(grid, out=tmp_path / "grid")
+    run_sweep(drawn, out=tmp_path / "drawn")
+    all_points = open_sweep(tmp_path / "grid")["snr"].to_numpy()
+    truth = all_points.mean(axis=1).var() / all_points.var()
+    data = open_sweep(tmp_path / "drawn").load()
+    kept = sensitivities(data, "snr", void=True)[f_number]
+    assert abs(kept.first - truth) < kept.first_error
+    assert incomplete_blocks(data, "snr", void=True) == ""
+    left = sensitivities(data, "snr")[f_number]
+    assert abs(left.first - truth) > left.first_error
+    n = data["void"].to_numpy().reshape(512, 4).any(axis=1).sum()
+    said = f"approximate: {n} of 512 blocks have void points; --void keeps them"
+    assert incomplete_blocks(data, "snr") == said
+    picture = plot_sensitivities(data, "snr", sensitivities(data, "snr"))
+    assert said in picture.axes[0].get_title()
+    monkeypatch.setattr(sys, "argv", ["twin", "show", str(tmp_path / "drawn"), "-q", "--json"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    told = capsys.readouterr()
+    assert f"warning: variance of snr: {said}" in told.err
+    assert json.loads(told.out)["approximate"] == said
 
 
 def test_a_grid_is_the_whole_of_what_it_describes() -> None:

@@ -6,9 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import xarray
 from studies import CLOSED, SMALL
@@ -23,6 +28,8 @@ from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import pareto_front, plot_front, plot_plane
+from twin.sweep.store import Store
+from twin.sweep.workers import SchedulerGoneError, dask
 from twin.system import System, load_system
 
 
@@ -377,14 +384,23 @@ def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> No
     """A real `dask scheduler` and two workers, each a process of its own."""
     text = '[grid]\n"scene.rig.x_m" = [0.0, 0.3]\n"system.readout.read_noise_e" = [1.0, 2.0]\n'
     path = study(text)
-    file = tmp_path / "scheduler.json"
+    with running_scheduler(tmp_path / "scheduler.json", n_workers=2) as (address, _):
+        run_sweep(path, out=tmp_path / "far", scheduler=address)
+    assert_is_what_one_process_gives(open_sweep(tmp_path / "far"), path)
+
+
+@contextmanager
+def running_scheduler(
+    file: Path, n_workers: int
+) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
+    """Address and process of a `dask scheduler`, with workers."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
     worker = [sys.executable, "-m", "distributed.cli.dask_worker"]
     common = ["--scheduler-file", str(file), "--no-dashboard"]
     processes = [subprocess.Popen([*dask, *common, "--port", "0"], **quiet)]
     try:
-        for _ in range(2):
+        for _ in range(n_workers):
             processes.append(
                 subprocess.Popen([*worker, *common, "--nthreads", "1", "--no-nanny"], **quiet)
             )
@@ -392,14 +408,73 @@ def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> No
             if file.is_file() and file.stat().st_size:
                 break
             time.sleep(0.1)
-        address = json.loads(file.read_text())["address"]
-        run_sweep(path, out=tmp_path / "far", scheduler=address)
+        yield json.loads(file.read_text())["address"], processes[0]
     finally:
         for process in reversed(processes):
             process.kill()
         for process in processes:
             process.wait(timeout=20)
-    assert_is_what_one_process_gives(open_sweep(tmp_path / "far"), path)
+
+
+def test_a_scheduler_that_goes_away_ends_in_one_line(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Killed once the first of 40 points is stored: how many are, and that the command resumes,
+    which it does; without a word of Dask's own.
+    """
+    distances = [1 + k / 10 for k in range(40)]
+    path = study(f'[grid]\n"link.distance_m" = {distances}\n', CLOSED)
+    out = tmp_path / "out"
+    monkeypatch.setattr("twin.sweep.run._CLOSED_CHUNK", 1)
+    add = Store.add
+    with running_scheduler(tmp_path / "scheduler.json", n_workers=1) as (address, process):
+
+        def add_and_kill(self: Store, *args: Any, **given: Any) -> None:
+            add(self, *args, **given)
+            process.kill()
+
+        monkeypatch.setattr(Store, "add", add_and_kill)
+        told = rf"^scheduler {address} has gone; [1-9] of 40 points are stored, the same command"
+        with pytest.raises(SchedulerGoneError, match=told):
+            run_sweep(path, out=out, scheduler=address)
+    assert "Traceback" not in capfd.readouterr().err
+    monkeypatch.setattr(Store, "add", add)
+    assert run_sweep(path, out=out, workers=0).n_failed == 0
+    assert_is_what_one_process_gives(open_sweep(out), path)
+
+
+def test_a_process_that_dies_while_it_starts_is_said(study, tmp_path: Path) -> None:
+    path = study('[grid]\n"link.distance_m" = [1.0, 2.0]\n', CLOSED)
+    here = psutil.Process()
+    others = set(here.children())
+
+    def kill() -> None:
+        deadline_s = time.monotonic() + 20
+        while time.monotonic() < deadline_s:
+            for child in set(here.children()) - others:
+                if any("spawn_main" in word for word in child.cmdline()):
+                    child.kill()
+                    return
+            time.sleep(0.01)
+
+    killer = Thread(target=kill)
+    killer.start()
+    told = "process died while it started .*; 0 of 2 points are stored, the same command resumes"
+    with pytest.raises(SchedulerGoneError, match=told):
+        run_sweep(path, out=tmp_path / "out", workers=1)
+    killer.join()
+    assert run_sweep(path, out=tmp_path / "out", workers=0).n_failed == 0
+
+
+@pytest.mark.thorough
+def test_a_process_in_a_dead_ones_place_shares_the_cores_too() -> None:
+    """It is told by its first work; told once, together with the others, it would not know."""
+    with dask(None, 1) as submit:
+        first = submit.result(submit(os.getpid))
+        os.kill(first, signal.SIGKILL)
+        threads = submit.result(submit(os.getenv, "OMP_NUM_THREADS"))
+        assert submit.result(submit(os.getpid)) != first
+    assert threads == str(len(os.sched_getaffinity(0)))
 
 
 def test_a_scheduler_without_workers_is_said(

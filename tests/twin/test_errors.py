@@ -14,7 +14,7 @@ from twin import cli
 from twin.errors import EngineError, InputError, TwinError
 from twin.serve.source import records
 from twin.sweep.inputs import ChangedError
-from twin.sweep.workers import WorkerDiedError
+from twin.sweep.workers import SchedulerGoneError, WorkerDiedError
 
 
 @pytest.mark.parametrize(
@@ -26,6 +26,7 @@ from twin.sweep.workers import WorkerDiedError
         (ChangedError, InputError, ValueError),
         (EngineError, TwinError, RuntimeError),
         (WorkerDiedError, EngineError, RuntimeError),
+        (SchedulerGoneError, EngineError, RuntimeError),
     ],
 )
 def test_every_error_has_its_kind(

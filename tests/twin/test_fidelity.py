@@ -165,10 +165,15 @@ def test_a_tolerance_of_a_cell_is_in_per_cent() -> None:
     assert knobs.radar_tolerance == Tolerance().knobs().radar_tolerance
 
 
-def test_a_tolerance_of_an_echo_is_in_db() -> None:
-    """An echo that is off by the radar's tolerance is off by as much as was asked, in dB."""
-    error = Tolerance.of("0.5 dB").knobs().radar_tolerance
-    assert 20 * np.log10(1 + error) == pytest.approx(0.5, rel=1e-12)
+@pytest.mark.parametrize("asked_db", [0.01, 0.5, 3.0, 6.0, 20.0])
+def test_a_tolerance_of_an_echo_is_in_db(asked_db: float) -> None:
+    """An echo that is off by the radar's tolerance, in whatever phase, is off by at most as much as
+    was asked, up and down, and by as much in one of them.
+    """
+    error = Tolerance.of(f"{asked_db} dB").knobs().radar_tolerance
+    phases = np.linspace(0, 2 * np.pi, 721)
+    off_db = 20 * np.log10(np.abs(1 + error * np.exp(1j * phases)))
+    assert np.abs(off_db).max() == pytest.approx(asked_db, rel=1e-9)
 
 
 def test_a_tolerance_of_a_distance_is_that_of_the_steepest_error() -> None:
@@ -191,7 +196,7 @@ def test_a_tolerance_of_a_distance_is_that_of_the_steepest_error() -> None:
         ("", "tolerance"),
         ("3 V", "2 mm"),
         ("0,2", "noise_share twice"),
-        ("1000 dB", "echo_db: 1000.0 is not in 0.00868 to 6.02"),
+        ("1000 dB", "echo_db: 1000.0 is not in 0.00869 to 20"),
         ("200 %", "cell_share: 2.0 is not in 1e-05 to 1"),
         ("-1 dB", "echo_db: -1"),
         (",", "expected a share"),

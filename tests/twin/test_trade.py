@@ -42,6 +42,7 @@ from twin.trade.bodies import errors_of, reference_bodies
 from twin.trade.brute_force import Agreement, _agreement, _sampled_masks, _transport, check
 from twin.trade.camera import (
     CameraCase,
+    CellSignals,
     distributions,
     light_levels,
     measurable_part,
@@ -209,6 +210,34 @@ def test_rows_of_leds_agree_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert by_force is None
     assert agreement.holds
     assert agreement.worst_sigmas < 6
+
+
+def test_the_references_own_error_is_the_scatter_of_its_renders(
+    small: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Standard deviation over the renders, estimated without bias, in electrons and as a share of
+    the light; of the same four renders, made here.
+    """
+    few = Fidelity(samples=16, max_depth=2)
+    monkeypatch.setattr("twin.trade.camera.reference_level", lambda system: few)
+    monkeypatch.setattr("twin.trade.camera.light_levels", lambda system: [])
+    monkeypatch.setattr("twin.trade.meter._ENOUGH_S", 0.0)
+    case = CameraCase.of(without_car_and_person(), load_system(small[0]), seed=3)
+    told: list[str] = []
+    reference, [own] = measure_light(case, lambda name: told.append(name) or silent(name))
+    cells = np.array(
+        [CellSignals.of(case, case.light(few, 0, run)).cells_e for run in (1, 2, 3, 4)]
+    )
+    scatter = np.sqrt(cells.var(axis=0, ddof=1).mean())
+    assert own.error == pytest.approx(scatter, rel=1e-5)
+    assert own.detail["relative"] == pytest.approx(
+        scatter / np.sqrt(np.mean(cells.mean(axis=0) ** 2)), rel=1e-5
+    )
+    assert own.detail["error_w"] == pytest.approx(scatter / case.electrons_per_watt, rel=1e-5)
+    over_noise = np.abs(cells - cells.mean(axis=0)) / reference.noise_e[:, None]
+    median = np.sqrt(4 / 3) * np.median(over_noise)
+    assert own.detail["median_over_noise"] == pytest.approx(median, rel=1e-5)
+    assert told == [f"reference light, render {run}" for run in (1, 2, 3, 4, 5)]
 
 
 def test_noise_levels_are_as_far_from_poisson_as_they_should_be() -> None:
@@ -501,7 +530,12 @@ def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, t
     )
     assert code == 0
     assert "warning: light: no level is below 0.0001" in errors
-    for part in ("64 paths, 4 bounces", "transport over brute force", "take: Fidelity("):
+    for part in (
+        "takes minutes; -v tells each",
+        "64 paths, 4 bounces",
+        "transport over brute force",
+        "take: Fidelity(",
+    ):
         assert part in printed
     assert "radar:" not in printed
     assert printed.splitlines()[-1] == f"written: {out / 'trade.md'}"

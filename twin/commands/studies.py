@@ -218,16 +218,20 @@ def _tell_sensitivities(
     say: Output, data: "xarray.Dataset", metric: str, *, void: bool
 ) -> "Figure":
     """What moves a metric most, as lines and as a picture."""
-    from twin.sweep.sensitivity import sensitivities
+    from twin.sweep.sensitivity import incomplete_blocks, sensitivities
     from twin.sweep.show import plot_sensitivities
 
     shares = sensitivities(data, metric, void=void)
     ordered = sorted(shares.items(), key=lambda item: -item[1].first)
     for name, share in ordered:
         say.verdict(f"variance of {metric}, {share}: {name}")
+    approximate = incomplete_blocks(data, metric, void=void)
+    if approximate:
+        say.warn(f"variance of {metric}: {approximate}", is_loss=True)
     say.add(
         metric=metric,
         sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
+        approximate=approximate or None,
     )
     return plot_sensitivities(data, metric, shares, void=void)
 
@@ -311,7 +315,11 @@ def trade(
         typer.Option(help="Folder; default runs/trade-SCENE-SYSTEM and what is not the default."),
     ] = None,
 ) -> None:
-    """Measure time, memory and error of every fidelity level on a scene, and choose one."""
+    """Measure time, memory and error of every fidelity level on a scene, and choose one.
+
+    It takes minutes: each level is computed several times, the reference of the light five times
+    with 4 million paths or more. `--verbose` tells each level as it is finished.
+    """
     from twin.errors import InputError
     from twin.fidelity import Tolerance
     from twin.trade import run_trade
@@ -325,6 +333,8 @@ def trade(
             f"--tolerance: {tolerance!r:.60}: errors of all levels are measured over the sensors' "
             "noise, expected a share of it (0.2)"
         )
+    if not say.verbose:
+        say.line("note: every level is computed several times, which takes minutes; -v tells each")
     found, folder = run_trade(
         scene,
         system,

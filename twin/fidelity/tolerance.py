@@ -15,7 +15,7 @@ _RADAR = (1e-3, 1.0)
 _LIMITS = {
     "noise_share": (1e-4, 10.0),
     "cell_share": (1e-5, 1.0),
-    "echo_db": (20 * math.log10(1 + _RADAR[0]), 20 * math.log10(1 + _RADAR[1])),
+    "echo_db": (-20 * math.log10(1 - _RADAR[0]), 20.0),
     "distance_m": (0.0, math.inf),
     "psnr_db": (1e-3, 20.0),
     "ssim": (1e-4, 1.0),
@@ -43,7 +43,9 @@ class Tolerance:
         are followed as far as bounds of what further ones add ask for, and edges diffract where a
         bound says that they count.
     echo_db
-        Of the level of a body's echo, in place of its share; 0.0087 to 6 dB.
+        Of the level of a body's echo, up and down, in place of its share; 0.0087 to 20 dB. It is
+        the error that makes an echo weaker by as much; one of equal size in phase with the echo
+        makes it stronger by less.
     cell_share
         Of the light of each cell, or of the cells' mean where that is more, in place of a share of
         the noise; 1e-5 to 1.
@@ -155,7 +157,7 @@ class Tolerance:
         >>> knobs.light_tolerance, knobs.radar_tolerance
         (0.2, 0.1)
         >>> round(Tolerance(echo_db=0.5).knobs().radar_tolerance, 4)
-        0.0593
+        0.0559
         """
         if self.of_scores:
             raise InputError(
@@ -179,7 +181,7 @@ class Tolerance:
         low, high = _RADAR
         errors = {}
         if self.echo_db is not None:
-            errors["echo_db"] = 10 ** (self.echo_db / 20) - 1
+            errors["echo_db"] = 1 - 10 ** (-self.echo_db / 20)
         if self.distance_m is not None and bandwidth_hz:
             steepest = 4 * math.pi * bandwidth_hz / (_SPEED_OF_LIGHT * math.sqrt(12))
             errors["distance_m"] = self.distance_m * steepest

@@ -25,7 +25,7 @@ Flags = NDArray[np.bool_]
 COARSE_SHARE = 1.0
 #: Of errors of cells, echoes and distances, beside it.
 _TIMES_COARSER = 5.0
-_MOST_CELL_SHARE, _MOST_ECHO_DB = 1.0, 6.0
+_MOST_CELL_SHARE, _MOST_ECHO_DB = 1.0, 20.0
 #: Share of sweeps in which any point's error may exceed what is taken for its largest.
 _ANY_MISSED = 0.05
 

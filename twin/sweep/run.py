@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -27,7 +27,7 @@ from twin.sweep.names import is_own
 from twin.sweep.refinement import coarse_study
 from twin.sweep.store import Points, Store, create_or_resume
 from twin.sweep.study import Study, load_study
-from twin.sweep.workers import Submit, WorkerDiedError, dask, here
+from twin.sweep.workers import SchedulerGoneError, Submit, WorkerDiedError, dask, here
 
 #: Points in a run: what a kill loses at most, for each worker.
 _RENDERED_CHUNK, _CLOSED_CHUNK = 16, 32_768
@@ -126,19 +126,31 @@ def run_sweep(
         if any(True for _ in chain(store.todo(), store.to_refine())):
             local = scheduler is None and (workers == 0 or (closed and workers is None))
             pool = here() if local else dask(scheduler, workers)
-            with _bar(study, store) as (advance, more), pool as submit:
-                before_s = time.perf_counter()
-                for refined, result in _of_all_passes(submit, study, store, inputs, more):
-                    store.add(result, refined=refined)
-                    advance(len(result.points))
-                    now_s, progress = time.perf_counter(), store.progress
-                    done = f"{progress.points_done} of {study.n_points} points"
-                    if refined:
-                        done += f", {len(progress.refined)} of them as finely as asked"
-                    tell(done, now_s - before_s)
-                    before_s = now_s
+            try:
+                _compute(study, store, inputs, pool)
+            except SchedulerGoneError as error:
+                stored = f"{store.progress.points_done} of {study.n_points} points are stored"
+                words = f"{error}; {stored}, the same command resumes"
+                raise SchedulerGoneError(words) from error
         store.finish()
         return _summary(store)
+
+
+def _compute(
+    study: Study, store: Store, inputs: Inputs, pool: AbstractContextManager[Submit]
+) -> None:
+    """Compute and store what is left, and tell of each run."""
+    with _bar(study, store) as (advance, more), pool as submit:
+        before_s = time.perf_counter()
+        for refined, result in _of_all_passes(submit, study, store, inputs, more):
+            store.add(result, refined=refined)
+            advance(len(result.points))
+            now_s, progress = time.perf_counter(), store.progress
+            done = f"{progress.points_done} of {study.n_points} points"
+            if refined:
+                done += f", {len(progress.refined)} of them as finely as asked"
+            tell(done, now_s - before_s)
+            before_s = now_s
 
 
 def folder_of(study: Study, out: str | Path | None) -> Path:

@@ -69,7 +69,8 @@ def sensitivities(
     """Shares of a metric's variance, by parameter; those of a ``zip`` together, joined by ``+``.
 
     Points without a number, and without ``void`` those whose record is void, are left out; of a
-    Saltelli sample with their whole block. Grid: exact.
+    Saltelli sample with their whole block, which makes its shares approximate by more than their
+    intervals say: `incomplete_blocks`. Grid: exact.
     ``saltelli``: both orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's
     estimator of the total). ``latin-hypercube``, ``sobol``: first order by RBD-FAST without its
     bias (Tissot and Prieur, Reliab. Eng. Syst. Saf. 107, 2012); Sobol points are more even than
@@ -111,9 +112,38 @@ def _design(data: "xarray.Dataset") -> _Design | None:
 
 def _whole_rows(table: Array, design: _Design) -> tuple[Array, _Design]:
     """Drawn points that have a number everywhere, in whole blocks."""
-    known = np.isfinite(table.reshape(-1, table.shape[-1])).all(axis=0)
-    whole = np.repeat(known.reshape(-1, design.block).all(axis=1), design.block)
+    whole = np.repeat(_are_whole(table, design), design.block)
     return table[..., whole], _Design(design.method, design.names, design.unit[whole])
+
+
+def _are_whole(table: Array, design: _Design) -> NDArray[np.bool_]:
+    """Whether each block has a number everywhere."""
+    known = np.isfinite(table.reshape(-1, table.shape[-1])).all(axis=0)
+    return np.asarray(known.reshape(-1, design.block).all(axis=1))
+
+
+def incomplete_blocks(data: "xarray.Dataset", metric: str, *, void: bool = False) -> str:
+    """How many blocks of a Saltelli sample are left out for one of their points, in words; empty
+    where none is.
+
+    Blocks that stay are no fair sample of the points that stay: the nearer a block's points are to
+    those that are void, the likelier one of them is, so that it is left out as a whole.
+    """
+    design = _design(data)
+    if design is None or design.method != "saltelli":
+        return ""
+
+    def are_whole(with_void: bool) -> NDArray[np.bool_]:
+        values = column(data, metric, void=with_void).transpose(..., "sample")
+        return _are_whole(values.to_numpy().astype(np.float64), design)
+
+    whole = are_whole(void)
+    if whole.all():
+        return ""
+    told = f"approximate: {np.sum(~whole)} of {whole.size} blocks have"
+    if are_whole(True).all():
+        return f"{told} void points; --void keeps them"
+    return f"{told} points without a number" + ("" if void else " or void ones")
 
 
 def _independent(table: Array, design: _Design) -> Array:

@@ -6,24 +6,33 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
 
 from twin.errors import EngineError
 from twin.files import InputError
 
+if TYPE_CHECKING:
+    from distributed import LocalCluster
+
 _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the number of points
 #: How long a scheduler may be without any worker, and how often it is looked at.
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
+_SILENT = 50  # level of Dask's own messages: that of what is critical
 
 
 class WorkerDiedError(EngineError):
     """A piece of work ended the process of every worker that tried it."""
 
 
+class SchedulerGoneError(EngineError):
+    """There is nobody to compute: the scheduler is gone, or a process died while it started."""
+
+
 @dataclass(frozen=True)
 class Submit:
     """Starts work, up to ``ahead`` pieces at a time, and waits for its results; `WorkerDiedError`
-    where there is none.
+    where there is none, `SchedulerGoneError` where there will be none any more.
     """
 
     send: Callable[..., Any]
@@ -47,32 +56,39 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
 
     Raises InputError where a scheduler can't be reached, or has no workers for a minute.
     """
-    from distributed import Client, LocalCluster
+    from distributed import Client
+    from distributed.utils import silence_logging_cmgr
 
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout="10s", set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
-        with client:
+        with silence_logging_cmgr(_SILENT), client:  # a lost connection is told by an error
             watch = _Watch(client, scheduler)
-            yield Submit(_pure(client), watch.result, _AHEAD * watch.wait())
+            yield Submit(watch.send, watch.result, _AHEAD * watch.wait())
         return
     cores = len(os.sched_getaffinity(0))
     n = workers or cores
     threads = max(1, cores // n)
-    with (
-        LocalCluster(
+    with _local(n) as cluster, Client(cluster, set_as_default=False) as client:
+        yield Submit(partial(_send, client, _on_threads, threads), _result, _AHEAD * n)
+
+
+def _local(n: int) -> "LocalCluster":
+    """Processes here; of one that dies later another takes the place."""
+    from distributed import LocalCluster
+
+    try:
+        return LocalCluster(
             n_workers=n,
             threads_per_worker=1,
             processes=True,
             dashboard_address="127.0.0.1:0",  # None still takes port 8787, or warns of it
-            silence_logs=50,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
-        client.run(_use_threads, threads)
-        yield Submit(_pure(client), _result, _AHEAD * n)
+            silence_logs=_SILENT,
+        )
+    except RuntimeError as error:
+        raise SchedulerGoneError(f"a worker's process died while it started ({error})") from error
 
 
 class _Watch:
@@ -81,10 +97,15 @@ class _Watch:
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
 
+    def send(self, work: Callable[..., Any], *args: Any) -> Any:
+        """Work sent, and what waits for it."""
+        with self._told():
+            return _send(self._client, work, *args)
+
     def wait(self) -> int:
         """How many workers there are, once there is one."""
         begin, said = time.monotonic(), False
-        while not (n := len(self._client.scheduler_info(n_workers=-1)["workers"])):
+        while not (n := self._workers()):
             if not said:
                 said = True
                 print(
@@ -107,9 +128,26 @@ class _Watch:
 
         while True:
             try:
-                return _result(future, _LOOK_S)
+                with self._told():
+                    return _result(future, _LOOK_S)
             except NotYetError:
                 self.wait()
+
+    def _workers(self) -> int:
+        with self._told():
+            return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """A lost connection, in the words of this place."""
+        from distributed import CancelledError
+        from distributed.client import ClosedClientError
+        from distributed.comm import CommClosedError
+
+        try:
+            yield
+        except (CancelledError, ClosedClientError, CommClosedError) as error:
+            raise SchedulerGoneError(f"scheduler {self._address} has gone") from error
 
 
 def _result(future: Any, timeout_s: float | None = None) -> Any:
@@ -121,10 +159,19 @@ def _result(future: Any, timeout_s: float | None = None) -> Any:
         raise WorkerDiedError("the worker's process died") from error
 
 
-def _pure(client: Any) -> Callable[..., Any]:
-    return lambda work, *args: client.submit(work, *args, pure=False, retries=2)
+def _send(client: Any, work: Callable[..., Any], *args: Any) -> Any:
+    return client.submit(work, *args, pure=False, retries=2)
 
 
+def _on_threads(n: int, work: Callable[..., Any], *args: Any) -> Any:
+    """Work in a process that shares the cores with others; each is told by its first work, so that
+    one that takes a dead one's place is told too.
+    """
+    _use_threads(n)
+    return work(*args)
+
+
+@cache
 def _use_threads(n: int) -> None:
     """Workers share the cores instead of fighting for them."""
     os.environ["OMP_NUM_THREADS"] = str(n)

@@ -115,12 +115,18 @@ def light_levels(system: System) -> list[Fidelity]:
 
 def light_stages(system: System) -> list[str]:
     """Stages of `measure_light`, in their order."""
-    return [_REFERENCE, *map(_rendering, light_levels(system))]
+    renders = [_rendering_reference(run) for run in range(1 + _REFERENCE_RUNS)]
+    return [*renders, *map(_rendering, light_levels(system))]
 
 
 def noise_stages() -> list[str]:
     """Stages of `measure_noise`, in their order."""
     return [_drawing(kind) for kind in get_args(Noise)]
+
+
+def _rendering_reference(run: int) -> str:
+    """Stage of a render of the reference, each of which may take a minute; the first warms up."""
+    return f"{_REFERENCE}, render {run + 1}"
 
 
 def _rendering(level: Fidelity) -> str:
@@ -133,26 +139,7 @@ def _drawing(kind: Noise) -> str:
 
 def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[LevelMeasurement]]:
     """Every level against the mean of several renders of the reference."""
-    finest = reference_level(case.system)
-    with stage(_REFERENCE):
-        cost, rendered = measure_cost(partial(case.light, finest, 0), least=_REFERENCE_RUNS)
-        signals = [CellSignals.of(case, light) for light in rendered]
-        cells = np.mean([p.cells_e for p in signals], axis=0)
-        sun_w = float(np.mean([p.sun_w for p in signals]))
-        reference = Reference(
-            CellSignals(cells, sun_w), _pixel_noise(case, rendered[0]), rendered[0]
-        )
-        # One render's scatter about the mean of all, which it is part of.
-        unbiased = np.sqrt(len(signals) / (len(signals) - 1))
-        name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
-        own = _compare_level(case, name, finest, cost, signals, reference)
-        own = replace(
-            own,
-            error=own.error * unbiased,
-            over_noise=own.over_noise * unbiased,
-            detail=own.detail | {"error_w": own.detail["error_w"] * unbiased},
-            note=f"scatter of {len(signals)} renders; their mean is what all are compared with",
-        )
+    reference, own = _measure_reference(case, stage)
     measured = []
     for number, level in enumerate(light_levels(case.system), start=1):
         with stage(_rendering(level)):
@@ -160,6 +147,34 @@ def measure_light(case: CameraCase, stage: OpenStage) -> tuple[Reference, list[L
             signals = [CellSignals.of(case, light) for light in rendered]
             measured.append(_compare_level(case, _name(level), level, cost, signals, reference))
     return reference, [*measured, own]
+
+
+def _measure_reference(case: CameraCase, stage: OpenStage) -> tuple[Reference, LevelMeasurement]:
+    """The mean of several renders, and one render's scatter about it."""
+    finest = reference_level(case.system)
+
+    def light(run: int) -> RenderedLight:
+        with stage(_rendering_reference(run)):
+            return case.light(finest, 0, run)
+
+    cost, rendered = measure_cost(light, least=_REFERENCE_RUNS)
+    signals = [CellSignals.of(case, one) for one in rendered]
+    cells = np.mean([p.cells_e for p in signals], axis=0)
+    sun_w = float(np.mean([p.sun_w for p in signals]))
+    reference = Reference(CellSignals(cells, sun_w), _pixel_noise(case, rendered[0]), rendered[0])
+    name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
+    own = _compare_level(case, name, finest, cost, signals, reference)
+    # Each render is part of the mean that it is compared with.
+    unbiased = np.sqrt(len(signals) / (len(signals) - 1))
+    errors = ("median_over_noise", "error_w", "relative")
+    own = replace(
+        own,
+        error=own.error * unbiased,
+        over_noise=own.over_noise * unbiased,
+        detail=own.detail | {key: own.detail[key] * unbiased for key in errors},
+        note=f"scatter of {len(signals)} renders; their mean is what all are compared with",
+    )
+    return reference, own
 
 
 def _compare_level(
