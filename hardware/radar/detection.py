@@ -74,7 +74,8 @@ class Detection:
     elevation_error_rad
         Standard error of the elevation.
     rcs_m2
-        Radar cross-section; NaN where gain or losses are unknown.
+        Radar cross-section of a target on the boresight: off it the antenna's gain, out and back,
+        makes it too low. NaN where gain or losses are unknown.
     range_rate_alternatives_m_per_s
         Other range rates that the record cannot exclude, likeliest first; direction and error of
         the range rate are valid if none of them is the true one.
@@ -103,6 +104,16 @@ class Detection:
     azimuth_alternatives_rad: tuple[float, ...] = ()
     elevation_alternatives_rad: tuple[float, ...] = ()
     power_error_w: float = float("nan")
+
+    @property
+    def rcs_error_m2(self) -> float:
+        """Standard error of the cross-section, which goes with the power and range^4; not that of
+        a direction off the boresight, nor of gain and losses. NaN where one of these is unknown.
+        """
+        relative = np.hypot(
+            self.power_error_w / self.power_w, 4 * self.range_error_m / self.range_m
+        )
+        return float(self.rcs_m2 * relative)
 
     @classmethod
     def of(cls, echo: EchoMeasurement) -> "Detection":
