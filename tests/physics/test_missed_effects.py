@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,7 @@ from twin.accuracy import Decision, missed_effects
 from twin.camera import capture
 from twin.fidelity import Tolerance
 from twin.radar import load_radar, radar_capture
+from twin.radar.diagnostics import not_followed
 from twin.scene import load_scene
 from twin.system import load_system
 
@@ -97,6 +100,20 @@ def test_bodies_that_lack_the_same_are_told_in_one_line() -> None:
         "waves to other: not computed; at most 20 % of the echo, or of the least level that "
         "counts, where 10 % is permitted",
     ]
+
+
+def test_what_a_remark_tells_is_not_told_again() -> None:
+    """Of the first burst, whose remarks are the capture's warnings; of a later one more is."""
+
+    def burst(bound: float, *, is_told: bool) -> Any:
+        turns = Decision("radar", "car turns", bound, 0.1, "of the echo", False, is_told=is_told)
+        return SimpleNamespace(decisions=(turns,))
+
+    first = burst(0.31, is_told=True)
+    assert not_followed([first, burst(0.2, is_told=True)]) == []
+    (text,) = not_followed([first, burst(0.5, is_told=True)])
+    assert text.startswith("car turns: not computed; at most 50 % of the echo, where 10 % is")
+    assert len(not_followed([burst(0.31, is_told=False)])) == 1
 
 
 def test_the_largest_bound_of_an_effect_is_told_once() -> None:
