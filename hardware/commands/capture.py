@@ -91,8 +91,16 @@ def capture(
             written = {topic: log.flushed.get(topic, 0) for topic in n}
             lost = n.total() - sum(written.values())
             beside = f"; {lost} more had come and may not be in it" if lost else ""
-            say.verdict(f"{out}: {sum(written.values())} records in {took_s:.1f} s{beside}")
-            say.add(log=out, records=written, seconds=took_s, stopped=over.is_set())
+            if out.exists():
+                say.verdict(f"{out}: {sum(written.values())} records in {took_s:.1f} s{beside}")
+            else:
+                say.verdict(f"{out}: not written, nothing came in {took_s:.1f} s")
+            say.add(
+                log=out if out.exists() else None,
+                records=written,
+                seconds=took_s,
+                stopped=over.is_set(),
+            )
     unheard = [
         topic for topic, counted in flags.items() if counted["overrun"] == counted["slots"] > 0
     ]

@@ -107,7 +107,9 @@ def detect(
         Path | None, typer.Option(help="PNG of the first range-Doppler map to write.")
     ] = None,
 ) -> None:
-    """Detect targets: range, rate, angle, cross-section, each with its standard error."""
+    """Detect targets: range, rate, angle, cross-section, each with its standard error. The
+    cross-section is that of a target on the boresight: off it the antenna's gain makes it too low.
+    """
     from hardware.calibration import RadarCalibration
     from hardware.processing import calibrated
     from hardware.radar.output import table_rows, write_detections, write_png

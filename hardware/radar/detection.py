@@ -74,7 +74,8 @@ class Detection:
     elevation_error_rad
         Standard error of the elevation.
     rcs_m2
-        Radar cross-section; NaN where gain or losses are unknown.
+        Radar cross-section of a target on the boresight: off it the antenna's gain, out and back,
+        makes it too low. NaN where gain or losses are unknown.
     range_rate_alternatives_m_per_s
         Other range rates that the record cannot exclude, likeliest first; direction and error of
         the range rate are valid if none of them is the true one.
@@ -88,7 +89,8 @@ class Detection:
         Standard error of the power; NaN where a detection of one's own does not tell it.
     rcs_error_m2
         Standard error of the cross-section by power and range, and by the calibration where there
-        is one; gain and losses that a record declares count as exact.
+        is one; gain and losses that a record declares count as exact, and the direction as that of
+        the boresight. NaN where one of these is unknown.
     """
 
     range_m: float

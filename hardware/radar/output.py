@@ -90,9 +90,16 @@ def _cells(d: Detection) -> tuple[str, ...]:
         ),
         _known(d.azimuth_rad, azimuth),
         f"{d.snr_db:.1f} dB",
-        _known(d.rcs_m2, with_error(d.rcs_m2, d.rcs_error_m2, "m^2")),
+        _known(d.rcs_m2, _cross_section(d)),
         _alternatives(d),
     )
+
+
+def _cross_section(d: Detection) -> str:
+    error_m2 = d.rcs_error_m2
+    if np.isnan(error_m2):  # of a detection of one's own
+        return f"{number(d.rcs_m2)} m^2"
+    return with_error(d.rcs_m2, error_m2, "m^2")
 
 
 def _known(value: float, text: str) -> str:

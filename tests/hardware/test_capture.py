@@ -129,6 +129,7 @@ def test_a_silent_source_does_not_hold_the_end(
         out, err = ended(process)
     assert time.monotonic() - begun < 6
     assert "stopped" in out
+    assert f"{tmp_path / 'run.mcap'}: not written, nothing came in " in out
     assert process.returncode == 2
     assert err.strip() == f"ugv: error: {url}: no record came"
     assert not (tmp_path / "run.mcap").exists()

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -11,6 +13,7 @@ from twin.accuracy import Decision, missed_effects
 from twin.camera import capture
 from twin.fidelity import Tolerance
 from twin.radar import load_radar, radar_capture
+from twin.radar.diagnostics import not_followed
 from twin.scene import load_scene
 from twin.system import load_system
 
@@ -34,8 +37,15 @@ def missed(decisions: Iterable[Decision]) -> list[Decision]:
 
 def assert_all_are_warned_of(decisions: Iterable[Decision], warnings: Iterable[str]) -> None:
     told = tuple(warnings)
+    effects = [text.partition(": not computed; at most ")[0] for text in told]
     for decision in missed(decisions):
-        assert sum(text.startswith(f"{decision.effect}: not computed") for text in told) == 1
+        if decision.is_told:
+            assert any(text.startswith("motion within an interval") for text in told)
+            continue
+        # One line for all bodies that lack the same.
+        stem = decision.effect.removesuffix(decision.body)
+        some = [e.removeprefix(stem) for e in effects if e.startswith(stem)]
+        assert sum(not decision.body or decision.body in e.split(", ") for e in some) == 1
 
 
 @pytest.mark.parametrize(("scene", "system"), CASES)
@@ -74,6 +84,36 @@ def test_of_a_radar_every_missed_effect_is_warned_of(scene: str) -> None:
     found = radar_capture(load_scene(scene), load_radar("hybrid-79"), seed=1)
     assert missed(found.decisions)
     assert_all_are_warned_of(found.decisions, found.warnings)
+
+
+def test_bodies_that_lack_the_same_are_told_in_one_line() -> None:
+    """Each with its own figure, in per cent of its echo."""
+
+    def waves(name: str, bound: float, permitted: float = 0.01) -> Decision:
+        unit = "of the echo, or of the least level that counts"
+        return Decision("radar", f"waves to {name}", bound, permitted, unit, False, body=name)
+
+    several = [waves("post", 0.352), waves("car", 0.337), waves("fine", 0.005), waves("far", 5.64)]
+    assert missed_effects([*several, waves("car", 0.2), waves("other", 0.2, 0.1)]) == [
+        "waves to post, car, far: not computed; at most 35, 34, 560 % of the echo, or of the least "
+        "level that counts, where 1 % is permitted",
+        "waves to other: not computed; at most 20 % of the echo, or of the least level that "
+        "counts, where 10 % is permitted",
+    ]
+
+
+def test_what_a_remark_tells_is_not_told_again() -> None:
+    """Of the first burst, whose remarks are the capture's warnings; of a later one more is."""
+
+    def burst(bound: float, *, is_told: bool) -> Any:
+        turns = Decision("radar", "car turns", bound, 0.1, "of the echo", False, is_told=is_told)
+        return SimpleNamespace(decisions=(turns,))
+
+    first = burst(0.31, is_told=True)
+    assert not_followed([first, burst(0.2, is_told=True)]) == []
+    (text,) = not_followed([first, burst(0.5, is_told=True)])
+    assert text.startswith("car turns: not computed; at most 50 % of the echo, where 10 % is")
+    assert len(not_followed([burst(0.31, is_told=False)])) == 1
 
 
 def test_the_largest_bound_of_an_effect_is_told_once() -> None:

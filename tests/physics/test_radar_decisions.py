@@ -254,7 +254,10 @@ def test_deep_tubes_without_room_are_told(monkeypatch) -> None:
         assert decision.bound > 0
         assert not decision.taken
         warned = any(
-            w.kind == "tolerance" and w.startswith(decision.effect) for w in taken.warnings
+            w.kind == "tolerance"
+            and w.startswith(effect)
+            and decision.body in w.partition(":")[0].removeprefix(effect).split(", ")
+            for w in taken.warnings
         )
         assert warned == (decision.bound > decision.permitted)
     truth = trace(scene, RADAR, fidelity=EVERYTHING.with_(radar_tolerance=0.01))

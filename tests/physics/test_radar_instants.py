@@ -323,6 +323,12 @@ def test_what_one_instant_leaves_out_is_warned_of(seed: int) -> None:
     warned = [line for line in found.warnings if "motion within an interval" in line]
     for name, error in errors.items():
         assert error <= limit or any(f"echo of {name} " in line for line in warned), (name, error)
+    # Of reflections one line for all bodies, and the worst of all is not told a second time.
+    assert sum("with reflections" in line for line in warned) <= 1
+    (decision,) = (d for d in found.decisions if "within an interval" in d.effect)
+    if decision.is_told:
+        name = decision.effect.rsplit(": ", 1)[1].rsplit(" ", 1)[0]
+        assert any(name in line for line in warned)
 
 
 @pytest.mark.parametrize(

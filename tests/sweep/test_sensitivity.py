@@ -12,7 +12,12 @@ from twin import cli
 from twin.files import InputError
 from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.dataset import Progress, dataset
-from twin.sweep.sensitivity import Share, incomplete_blocks, sensitivities
+from twin.sweep.sensitivity import (
+    Share,
+    incomplete_blocks,
+    sensitivities,
+    values_without_number,
+)
 from twin.sweep.show import plot_sensitivities
 
 REFLECTANCE, DISTANCE, NOTHING = (
@@ -249,6 +254,53 @@ def test_a_grid_beside_a_sample(tmp_path: Path) -> None:
     ):
         assert abs(shares[name].first - first) <= shares[name].first_error + 1e-12
         assert abs(shares[name].total - total) <= shares[name].total_error + 1e-12
+
+
+def test_grid_values_that_are_void_throughout_are_left_out_of_a_sample(tmp_path: Path) -> None:
+    """One of three values is void in all its points: shares are those of a study without it. They
+    had been refused, as no drawn point has a number everywhere.
+    """
+    lux = "system.sky.illuminance_lx"
+    data = run(tmp_path, "saltelli", 16, extra=f'[grid]\n"{lux}" = [0, 400, 1e5]\n')
+    metric = data["signal_e_per_s"]
+    gaps = data.assign(signal_e_per_s=metric.where(data[lux] < 1e5).assign_attrs(metric.attrs))
+    assert values_without_number(data, "signal_e_per_s") == []
+    assert values_without_number(gaps, "signal_e_per_s") == [f"{lux} = 100 klx"]
+    expected = sensitivities(data.isel({lux: [0, 1]}), "signal_e_per_s")
+    assert sensitivities(gaps, "signal_e_per_s") == expected
+
+    # Void in all but one point, which is one drawn point of a block of 5: too few, and why.
+    seventh = xarray.DataArray(np.arange(metric.sizes["sample"]) == 7, dims="sample")
+    one = metric.where((data[lux] < 1e5) | seventh)
+    gaps = data.assign(signal_e_per_s=one.assign_attrs(metric.attrs))
+    with pytest.raises(
+        InputError,
+        match=r"0 drawn points are left, expected 80 or more: 79 of 240 points are void, failed or "
+        rf"infinite, most at {lux} = 100 klx \(99 %\); --void takes void ones too",
+    ):
+        sensitivities(gaps, "signal_e_per_s")
+    gaps = data.assign(signal_e_per_s=(metric * np.nan).assign_attrs(metric.attrs))
+    with pytest.raises(
+        InputError, match="0 drawn points are left, expected 80 or more: 240 of 240"
+    ):
+        sensitivities(gaps, "signal_e_per_s")
+
+
+def test_a_grid_without_one_value_is_the_grid_of_the_others() -> None:
+    """Total order divides by the levels of a parameter: those that have points."""
+    table = np.random.default_rng(0).normal(size=(4, 3))
+    table[2] = np.nan
+    grid = xarray.Dataset({"m": (("a", "b"), table)}, {"a": np.arange(4), "b": np.arange(3)})
+    whole = grid.isel(a=[0, 1, 3])
+    assert sensitivities(grid, "m") == sensitivities(whole, "m")
+    assert sensitivities(whole, "m")["a"].total == pytest.approx(
+        np.delete(table, 2, axis=0).var(axis=0).mean() / np.nanvar(table)
+    )
+
+
+def test_a_share_of_rounding_is_printed_as_0() -> None:
+    assert str(Share(2e-33, 1.5e-32, -1e-16, 0.0)) == "first order 0, total 0"
+    assert str(Share(2e-4, 1e-5, 0.5, 0.1)) == "first order 0.000200 ± 1.0e-5, total 0.50 ± 0.10"
 
 
 def test_bars_carry_their_intervals(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """An effect that a model takes or leaves out, with the bound that decided."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hardware.formatting import number, si
@@ -30,6 +30,10 @@ class Decision:
         systematic error all the same.
     cost_s
         Time that it took, NaN where it was not measured or not taken.
+    body
+        The name in ``effect`` of what it is of, where others may have the same effect.
+    is_told
+        Whether a warning of the same burst says what is left out, with the same figure.
 
     >>> str(Decision("camera", "indirect light", 0.003, 0.02, "of a pixel's noise", False))
     "camera: indirect light: at most 0.003 of a pixel's noise, 0.02 permitted: left out"
@@ -42,6 +46,8 @@ class Decision:
     unit: str
     taken: bool
     cost_s: float = math.nan
+    body: str = ""
+    is_told: bool = False
 
     def __str__(self) -> str:
         took = f" ({si(self.cost_s, 's')})" if self.cost_s >= 0 else ""
@@ -58,11 +64,17 @@ class Decision:
 
 def missed_effects(decisions: Iterable[Decision]) -> list[str]:
     """Sentences on effects that are left out although they may change more than is permitted, each
-    where its bound is largest.
+    where its bound is largest; one for all bodies that lack the same.
 
     >>> indirect = Decision("camera", "indirect light", 0.3, 0.02, "of a pixel's noise", False)
     >>> missed_effects([indirect])
     ["indirect light: not computed; at most 0.3 of a pixel's noise, where 0.02 is permitted"]
+    >>> waves = [
+    ...     Decision("radar", f"waves to {name}", bound, 0.01, "of the echo", False, body=name)
+    ...     for name, bound in (("car", 0.34), ("post", 0.19))
+    ... ]
+    >>> missed_effects(waves)
+    ['waves to car, post: not computed; at most 34, 19 % of the echo, where 1 % is permitted']
     """
     worst: dict[str, Decision] = {}
     for decision in decisions:
@@ -70,8 +82,22 @@ def missed_effects(decisions: Iterable[Decision]) -> list[str]:
             known = worst.setdefault(decision.effect, decision)
             if decision.bound > known.bound:
                 worst[decision.effect] = decision
-    return [
-        f"{decision.effect}: not computed; at most {decision.bound:.2g} {decision.unit}, where "
-        f"{decision.permitted:.2g} is permitted"
-        for decision in worst.values()
-    ]
+    alike: dict[tuple[str, str, float], list[Decision]] = {}
+    for decision in worst.values():
+        stem = decision.effect.removesuffix(decision.body)
+        alike.setdefault((stem, decision.unit, decision.permitted), []).append(decision)
+    return [_missed(some) for some in alike.values()]
+
+
+def _missed(some: Sequence[Decision]) -> str:
+    """The sentence on one effect of one or several bodies."""
+    first = some[0]
+    names = ", ".join([first.effect, *(decision.body for decision in some[1:])])
+    is_share = first.unit.startswith("of the echo")
+    values = [100 * decision.bound if is_share else decision.bound for decision in some]
+    permitted = 100 * first.permitted if is_share else first.permitted
+    sign = " %" if is_share else ""
+    return (
+        f"{names}: not computed; at most {', '.join(number(value, 2) for value in values)}{sign} "
+        f"{first.unit}, where {number(permitted, 2)}{sign} is permitted"
+    )

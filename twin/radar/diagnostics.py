@@ -107,7 +107,7 @@ def warnings(
     messages += [CaptureWarning("model", text) for text in bursts[0].warnings]
     bodies = worst_by_body(body for burst in bursts for body in burst.bodies)
     messages += [CaptureWarning("rendering", text) for text in unconverged(bodies)]
-    messages += [CaptureWarning("tolerance", text) for text in _not_followed(bursts)]
+    messages += [CaptureWarning("tolerance", text) for text in not_followed(bursts)]
     messages += _coarse(scene, radar, bursts[0])
     if not bursts[0].instants:
         messages += _bends(scene, radar)
@@ -127,11 +127,17 @@ def warnings(
     return tuple(messages)
 
 
-def _not_followed(bursts: Sequence[Propagation]) -> list[str]:
+def not_followed(bursts: Sequence[Propagation]) -> list[str]:
     """On effects that no model follows although they may add more than is permitted, each at the
-    burst where it may add the most.
+    burst where it may add the most; none that a warning of the first burst tells.
     """
-    missed = missed_effects(decision for burst in bursts for decision in burst.decisions)
+    told = {each.effect: each.bound for each in bursts[0].decisions if each.is_told}
+    missed = missed_effects(
+        decision
+        for burst in bursts
+        for decision in burst.decisions
+        if decision.bound > told.get(decision.effect, 0.0)
+    )
     return [f"{text}; the stated errors contain it" for text in missed]
 
 

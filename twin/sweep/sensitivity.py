@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.formatting import with_error
+from hardware.formatting import setting_text, with_error
 from twin.files import InputError
 from twin.sweep.dataset import column
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _LEAST_BLOCKS, _LEAST = 16, 32
 _MANY = 10_000  # from here on the interval is so narrow that a rough one does
 _Z95 = 1.96
+_ROUNDING = 1e-12  # shares below it are those of sums of doubles
 
 
 @dataclass(frozen=True)
@@ -43,10 +44,14 @@ class Share:
 
     def __str__(self) -> str:
         """Both orders with their errors."""
-        told = f"first order {with_error(self.first, self.first_error)}"
+        told = f"first order {_text(self.first, self.first_error)}"
         if np.isnan(self.total):
             return f'{told}, total: needs method = "saltelli"'
-        return f"{told}, total {with_error(self.total, self.total_error)}"
+        return f"{told}, total {_text(self.total, self.total_error)}"
+
+
+def _text(share: float, error: float) -> str:
+    return "0" if max(abs(share), error) < _ROUNDING else with_error(share, error)
 
 
 @dataclass(frozen=True)
@@ -70,8 +75,8 @@ def sensitivities(
 
     Points without a number, and without ``void`` those whose record is void, are left out; of a
     Saltelli sample with their whole block, which makes its shares approximate by more than their
-    intervals say: `incomplete_blocks`. Grid: exact.
-    ``saltelli``: both orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's
+    intervals say: `incomplete_blocks`. Beside a sample a drawn point counts that has a number at
+    all values of the grid, but for `values_without_number`. Grid: exact. ``saltelli``: both orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's
     estimator of the total). ``latin-hypercube``, ``sobol``: first order by RBD-FAST without its
     bias (Tissot and Prieur, Reliab. Eng. Syst. Saf. 107, 2012); Sobol points are more even than
     that takes them to be, so theirs are up to 0.1 too low at 100 points. ``seed``: of the
@@ -79,9 +84,9 @@ def sensitivities(
 
     Raises InputError where the metric does not vary, or too few points are left.
     """
-    values = column(data, metric, void=void)
+    values = _with_numbers(column(data, metric, void=void))
     design = _design(data)
-    grid = [str(name) for name in values.dims if design is None or name != "sample"]
+    grid = _grid_of(values)
     drawn = ["sample"] if design else []
     table = values.transpose(*grid, *drawn).to_numpy().astype(np.float64)
     table = np.where(np.isfinite(table), table, np.nan)
@@ -90,11 +95,74 @@ def sensitivities(
     table, design = _whole_rows(table, design)
     least = _LEAST_BLOCKS * design.block if design.method == "saltelli" else _LEAST
     if (n := table.shape[-1]) < least:
-        raise InputError(f"{values.name}: {n} drawn points are left, expected {least} or more")
+        raise InputError(
+            f"{values.name}: {n} drawn points are left, expected {least} or more{_gaps(values)}"
+        )
     independent = _independent(table, design)
     variance = _varying(values, independent)
     shares = _of_sample(table, design, variance, seed)
     return _of_grid(values, grid, independent, seed) | shares
+
+
+def values_without_number(data: "xarray.Dataset", metric: str, *, void: bool = False) -> list[str]:
+    """Values of a grid at which no point has a number, as text: shares are of the others."""
+    values = column(data, metric, void=void)
+    known = _known(values)
+    return [
+        _level(values, name, int(i))
+        for name in _grid_of(values)
+        for i in np.flatnonzero(~_along(known, name).any(axis=1))
+    ]
+
+
+def _with_numbers(values: "xarray.DataArray") -> "xarray.DataArray":
+    """Without the values of a grid at which no point has a number; of none, as they are."""
+    known = _known(values)
+    if not known.any():
+        return values
+    return values[{name: _along(known, name).any(axis=1) for name in _grid_of(values)}]
+
+
+def _known(values: "xarray.DataArray") -> "xarray.DataArray":
+    return values.copy(data=np.isfinite(values.to_numpy()))
+
+
+def _grid_of(values: "xarray.DataArray") -> list[str]:
+    """Dimensions that were not drawn."""
+    return [str(name) for name in values.dims if name != "sample"]
+
+
+def _along(known: "xarray.DataArray", name: str) -> NDArray[np.bool_]:
+    """Points (levels of a dimension, others)."""
+    first = known.transpose(name, ...).to_numpy()
+    return first.reshape(len(first), -1)
+
+
+def _level(values: "xarray.DataArray", name: str, i: int) -> str:
+    """A level of a dimension by all its parameters."""
+    told = [
+        f"{parameter} = {setting_text(str(parameter), coordinate.to_numpy()[i])}"
+        for parameter, coordinate in values.coords.items()
+        if coordinate.dims == (name,)
+    ]
+    return " with ".join(told)
+
+
+def _gaps(values: "xarray.DataArray") -> str:
+    """How many points have no number, and at which value of a grid most are: end of an error."""
+    lacks = ~_known(values)
+    if not lacks.any():
+        return ""
+    told = f": {int(lacks.sum())} of {lacks.size} points are void, failed or infinite"
+    shares = [
+        (_along(lacks, name)[i].mean(), _level(values, name, i))
+        for name in _grid_of(values)
+        for i in range(values.sizes[name])
+    ]
+    if shares:
+        share, level = max(shares)
+        told += f", most at {level} ({100 * share:.0f} %)"
+    return f"{told}; --void takes void ones too"
 
 
 def _design(data: "xarray.Dataset") -> _Design | None:
@@ -134,7 +202,7 @@ def incomplete_blocks(data: "xarray.Dataset", metric: str, *, void: bool = False
         return ""
 
     def are_whole(with_void: bool) -> NDArray[np.bool_]:
-        values = column(data, metric, void=with_void).transpose(..., "sample")
+        values = _with_numbers(column(data, metric, void=with_void)).transpose(..., "sample")
         return _are_whole(values.to_numpy().astype(np.float64), design)
 
     whole = are_whole(void)

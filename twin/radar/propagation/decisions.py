@@ -55,10 +55,13 @@ def on_edges(
         order = [k for k in np.argsort(-bound, kind="stable") if is_taken[k] == taken]
         cost_of_each_s = cost_s / max(len(order), 1) if taken else math.nan
         for k in order[:_NAMED]:
-            effect = f"edges of {label_of(objects[k])}"
-            at_most = float(bound[k])
+            name, at_most = label_of(objects[k]), float(bound[k])
             decisions.append(
-                Decision("radar", effect, at_most, permitted, UNIT, taken, cost_of_each_s)
+                Decision(
+                    *("radar", f"edges of {name}", at_most, permitted, UNIT, taken),
+                    cost_s=cost_of_each_s,
+                    body=name,
+                )
             )
         if len(order) > _NAMED:
             effect = f"edges of {len(order) - _NAMED} further bodies"
@@ -98,9 +101,11 @@ def on_reflections(
             some = strongest[which[strongest]]
             is_taken = number is not most
             for body in some[:_NAMED]:
-                effect = f"{what} beyond {number[body]}, {label_of(objects[body])}"
+                name = label_of(objects[body])
+                effect = f"{what} beyond {number[body]}, {name}"
+                at_most = float(bound[body])
                 decisions.append(
-                    Decision("radar", effect, float(bound[body]), permitted, UNIT, is_taken)
+                    Decision("radar", effect, at_most, permitted, UNIT, is_taken, body=name)
                 )
             if len(some) > _NAMED:
                 effect = f"further {what}, {len(some) - _NAMED} fainter bodies"
@@ -117,12 +122,11 @@ def _on_coarse_tubes(
     """
     effect = "finer ray tubes for more than 3 reflections at bodies"
     some = np.argsort(-bound, kind="stable")[: np.count_nonzero(bound)]
-    decisions = [
-        Decision(
-            "radar", f"{effect}, {label_of(objects[k])}", float(bound[k]), permitted, UNIT, False
-        )
-        for k in some[:_NAMED]
-    ]
+    decisions = []
+    for k in some[:_NAMED]:
+        name = label_of(objects[k])
+        what, at_most = f"{effect}, {name}", float(bound[k])
+        decisions.append(Decision("radar", what, at_most, permitted, UNIT, False, body=name))
     if len(some) > _NAMED:
         what = f"{effect}, {len(some) - _NAMED} further bodies"
         at_most = float(bound[some[_NAMED]])
@@ -151,10 +155,11 @@ def on_round_obstacles(
         for k in order[:_NAMED]:
             # Of a body to which such waves were computed, what is left is of further paths.
             rest = "" if taken or not is_taken[k] else "the weaker "
-            effect = f"{rest}{which} to {label_of(objects[k])}"
+            name, at_most = label_of(objects[k]), float(values[k])
+            effect = f"{rest}{which} to {name}"
             cost = cost_of_each_s if taken else math.nan
             decisions.append(
-                Decision("radar", effect, float(values[k]), permitted, UNIT, taken, cost)
+                Decision("radar", effect, at_most, permitted, UNIT, taken, cost, body=name)
             )
         if len(order) > _NAMED:
             rest = "" if taken else "the weaker "

@@ -254,8 +254,9 @@ def _mirrors(
     warned: tuple[str, ...] = ()
     if crowded:
         warned = (
-            f"the radar's own mirror echo in {', '.join(dict.fromkeys(crowded))} is there or not, "
-            "by one ray: too many edges stand near that ray for their diffraction",
+            f"the specular echo of {', '.join(dict.fromkeys(crowded))} may be wholly present or "
+            "missing: more edges stand near its ray than are computed; its level is not to be "
+            "relied on",
         )
     return *_paths(further, radar, traced, [None], [()]), warned
 

@@ -126,7 +126,8 @@ def _spans(scene: Scene, radar: RadarDesign, half_s: float, permitted: float, le
 def _decision(worst: Change, permitted: float, taken: bool, cost_s: float = np.nan) -> Decision:
     how = "turns" if worst.turned_rad * OVER_ANGLE > worst.bend_rad else "moves"
     effect = f"what changes within an interval beyond delays of second order: {worst.name} {how}"
-    return Decision("radar", effect, worst.error, permitted, UNIT, taken, cost_s)
+    is_told = not taken and worst.changed == worst.error > permitted  # by the remarks of `checked`
+    return Decision("radar", effect, worst.error, permitted, UNIT, taken, cost_s, is_told=is_told)
 
 
 class _Search:

@@ -29,7 +29,10 @@ Array = NDArray[np.float64]
 _MOST_TIMES = 33
 #: Solvers that find direct echoes as `optics` does.
 _CHECKED = ("optics", "auto", "rough")
-_HOW = "fidelity.radar_motion_tolerance has it traced at several instants"
+_HOW = (
+    "radar_motion_tolerance (of Fidelity in Python, or [set] of a study) has it traced at several "
+    "instants"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +164,7 @@ def _told(
     are compared. Where parts of a body turn, at most all that is reflected between them changes.
     """
     remarks, largest = [], []
+    by_reflections: list[str] = []
     names = [*(body.name for body in bodies), "what the middle does not hear"]
     rows = differences.direct, differences.with_reflections, differences.reflected
     for number, (name, direct, both, reflected) in enumerate(zip(names, *rows, strict=True)):
@@ -183,11 +187,13 @@ def _told(
                 f"{_HOW}"
             )
         elif both > max(permitted, direct):
-            remarks.append(
-                f"motion within an interval: with reflections the echo of {name} changes by "
-                f"{of_echo(float(both), faint)} beyond its delays, which is left out; "
-                f"{percent(permitted)} % permitted: {_HOW}"
-            )
+            by_reflections.append(f"the echo of {name} by {of_echo(float(both), faint)}")
+    if by_reflections:
+        remarks.append(
+            f"motion within an interval changes with reflections {', '.join(by_reflections)} "
+            f"beyond delays, which is left out; {percent(permitted)} % permitted; the stated "
+            f"errors contain it: {_HOW}"
+        )
     return worst, tuple(remarks), np.array(largest[: len(bodies)])
 
 
