@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.files import whole_file
-from hardware.formatting import with_error
+from hardware.formatting import number, with_error
 from hardware.png import write_grey
 from hardware.radar.detection import Detection
 from hardware.radar.imaging import RadarImage

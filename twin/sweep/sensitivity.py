@@ -76,11 +76,11 @@ def sensitivities(
     Points without a number, and without ``void`` those whose record is void, are left out; of a
     Saltelli sample with their whole block, which makes its shares approximate by more than their
     intervals say: `incomplete_blocks`. Beside a sample a drawn point counts that has a number at
-    all values of the grid, but for `values_without_number`. Grid: exact. ``saltelli``: both orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's
-    estimator of the total). ``latin-hypercube``, ``sobol``: first order by RBD-FAST without its
-    bias (Tissot and Prieur, Reliab. Eng. Syst. Saf. 107, 2012); Sobol points are more even than
-    that takes them to be, so theirs are up to 0.1 too low at 100 points. ``seed``: of the
-    bootstrap.
+    all values of the grid, but for `values_without_number`. Grid: exact. ``saltelli``: both
+    orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's estimator of the total).
+    ``latin-hypercube``, ``sobol``: first order by RBD-FAST without its bias (Tissot and Prieur,
+    Reliab. Eng. Syst. Saf. 107, 2012); Sobol points are more even than that takes them to be, so
+    theirs are up to 0.1 too low at 100 points. ``seed``: of the bootstrap.
 
     Raises InputError where the metric does not vary, or too few points are left.
     """
