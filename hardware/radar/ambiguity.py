@@ -26,7 +26,7 @@ its echo, and it cannot be tested: `fastest_resolved`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,14 @@ from numpy.typing import NDArray
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import EchoMeasurement, echo_measurement, without_duplicates
+from hardware.radar.rate_evidence import (
+    CERTAIN,
+    SEARCHED,
+    RateEvidence,
+    ambiguous_rates,
+    fastest_resolved,
+    rate_evidence,
+)
 from hardware.radar.refinement import (
     Blocks,
     block_responses,
@@ -44,124 +52,17 @@ from hardware.radar.refinement import (
 )
 from hardware.radar.residue import residual_cells
 from hardware.radar.within_symbols import leakage_of
-from hardware.waveform import C_M_PER_S, OfdmWaveform
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
-#: Log-likelihood ratio above which a rate counts as certain: one error in a thousand.
-CERTAIN = float(np.log(1e3))
-_USUAL_RATE = 2 * 10.0 / C_M_PER_S  # standard deviation before anything is measured: of 10 m/s
-_MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
-_FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
-_FARTHEST_MOVED = 64  # range cells within a burst: as many as blocks along an axis at most
-_MOST_SPANS = 256  # either way: of more the map tells nothing, and the list has no reader
 _COARSE = 32  # blocks along each axis of the search; a target at its edge loses 1.2 dB
-_SEARCHED = (2 * _FARTHEST + 1) ** 2  # cells
 _SMEAR_FACTOR = 1.3  # see `_may_hide_another`
 _WEAKEST = 0.05  # of the power of a body: the weakest second body searched in the same cell
 _OF_FRAGMENT = 10.0  # either way: power of an echo's smear over that of the detection it explains
 _OF_REST = 10.0  # power of what is taken for another echo over that of a stronger one's side lobe
 _LEAST_MIGRATION = 1.5  # cells of migration per span needed to separate two bodies of one cell
 _NEGLIGIBLE = 0.1  # of a cell's noise: contributions of other echoes that need no subtraction
-
-
-@dataclass(frozen=True, eq=False)
-class RateEvidence:
-    """Likelihood of each of the delay rates that fold to the measured one.
-
-    ``delay_rate`` (n_rates,), in s/s. ``log_likelihood`` (n_rates,): of a point target in white
-    noise anywhere in the cells searched, up to a constant. ``level`` (n_rates,): signal over noise
-    in the best row of one rate, which is largest for the true rate also of an extended target.
-    ``step`` (n_rates, 2): cells of delay and rate to the highest power.
-    """
-
-    delay_rate: Array
-    log_likelihood: Array
-    level: Array
-    step: Array
-
-    @property
-    def candidates(self) -> NDArray[np.intp]:
-        """Indices (n,) of the rates that the data cannot exclude, likeliest first; where the data
-        hardly distinguish them, that is the slowest.
-        """
-        rates, likelihood = self.delay_rate, self.log_likelihood
-        likeliest = np.argsort((rates / _USUAL_RATE) ** 2 / 2 - likelihood, kind="stable")
-        return np.asarray(likeliest[self.possible[likeliest]])
-
-    @property
-    def possible(self) -> NDArray[np.bool_]:
-        """Rates (n_rates,) that the data cannot exclude against the likeliest."""
-        unlikely = self.log_likelihood < self.log_likelihood.max() - CERTAIN
-        # A smear of neighbours may look like a point; the level around it says otherwise.
-        weak = self.level < (1 - _MODEL) * self.level.max()
-        return np.asarray(~(unlikely & weak))
-
-
-def ambiguous_rates(waveform: OfdmWaveform, delay_rate: float, fastest: float) -> Array:
-    """Delay rates (n_rates,) of the same folded Doppler shift, slowest first.
-
-    Those up to ``fastest``, in s/s, either way; at least the nearest.
-    """
-    span = 2 * waveform.max_delay_rate
-    nearest = delay_rate - span * np.rint(delay_rate / span)
-    reach = int(np.ceil(fastest / span)) + 1
-    rates = nearest + span * np.arange(-reach, reach + 1)
-    rates = rates[(np.abs(rates) <= fastest) | (rates == nearest)]
-    return np.asarray(rates[np.argsort(np.abs(rates), kind="stable")])
-
-
-def fastest_resolved(waveform: OfdmWaveform, fastest: float) -> float:
-    """Up to which delay rate others are tested: ``fastest``, or less where targets would cross too
-    many range cells within a burst, or too many rates fold to one.
-    """
-    migration = (
-        _FARTHEST_MOVED * waveform.delay_cell_s / (waveform.n_slots * waveform.slot_period_s)
-    )
-    return min(fastest, migration, 2 * _MOST_SPANS * waveform.max_delay_rate)
-
-
-def rate_evidence(blocks: Blocks, delay_rates: Array, noise_w: float) -> RateEvidence:
-    """Likelihood of delay rates from the migration that each would cause.
-
-    Parameters
-    ----------
-    blocks
-        The channel about the echo without a window, see `blocks_about`, at one of the rates.
-    delay_rates : (n_rates,)
-        Rates a multiple of the Doppler ambiguity's span from the blocks' own.
-    noise_w
-        Mean noise power of a cell.
-    """
-    sums, f_hz, t_s = blocks.sums, blocks.grid.f_hz, blocks.grid.t_s
-    extra = delay_rates - blocks.delay_rate
-    duration = 1 / (blocks.grid.cell[1] * blocks.grid.carrier_hz)
-    smeared = np.abs(extra).max() * duration / blocks.grid.cell[0] / 2
-    reach = int(min(np.ceil(smeared) + 1, _FARTHEST))
-    steps = (
-        np.arange(-2 * reach, 2 * reach + 1) / 2
-    )  # half cells: between two a target loses 0.9 dB
-    across = np.exp(2j * np.pi * blocks.grid.cell[0] * np.outer(steps, f_hz))
-    along = np.exp(2j * np.pi * blocks.grid.cell[1] * blocks.grid.carrier_hz * np.outer(t_s, steps))
-    single = np.complex64
-    across, along, near = across.astype(single), along.astype(single), sums.astype(single)
-    # The carrier's phase is the same for all rates, modulo whole cycles per slot; the rest of the
-    # band gives the migration.
-    still = near * blocks.grid.migration(extra).astype(single)[:, None]
-    cells = across @ still @ along  # by rate that is tried, channel, delay and rate
-    power = np.asarray(np.sum(cells.real**2 + cells.imag**2, axis=1, dtype=np.float64))
-    flat = power.reshape(len(power), -1)
-    # Remains of stronger echoes over all these cells count as noise: that of the rate which leaves
-    # the least of them, for all rates, since a few cells tell it to some 10 % alone.
-    middle = flat.shape[1] // 2
-    least = max(noise_w, np.finfo(float).tiny)
-    noise = max(least, float(np.partition(flat, middle, axis=1)[:, middle].min()) / len(sums))
-    at = flat.argmax(axis=1)
-    highest_w = flat.max(axis=1, keepdims=True)
-    spread = np.log(np.sum(np.exp((flat - highest_w) / noise), axis=1))
-    rows = np.maximum(power / noise - len(sums), 0).sum(axis=1)
-    step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
-    return RateEvidence(delay_rates, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
 
 
 def resolve_delay_rates(
@@ -195,7 +96,7 @@ def resolve_delay_rates(
     delay_rate = np.array([echo.delay_rate for echo in echoes])
     about = blocks_about(channel, waveform, "boxcar", delay_s, delay_rate, _COARSE)
     looks = len(echoes[0].amplitude)
-    least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / _SEARCHED)) / looks
+    least_w = noise_w * float(gammainccinv(looks, np.exp(-CERTAIN) / SEARCHED)) / looks
     resolved: list[EchoMeasurement] = []
     unfolded: list[EchoMeasurement] = []  # at another rate than the one that was measured
     for echo, blocks, has_several in zip(echoes, about, several, strict=True):

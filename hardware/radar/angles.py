@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hardware.radar.ambiguity import CERTAIN
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.channel_noise import ChannelNoise
+from hardware.radar.rate_evidence import CERTAIN
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hardware.radar.ambiguity import fastest_resolved
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells
 from hardware.radar.detection import Detection
 from hardware.radar.k_distribution import ClutterFit
 from hardware.radar.range_doppler import RangeDopplerMap
+from hardware.radar.rate_evidence import fastest_resolved
 from hardware.radar.settings import Processing
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hardware.processing import cloud
-from hardware.radar.ambiguity import ambiguous_rates, fastest_resolved, rate_evidence
 from hardware.radar.process import process
+from hardware.radar.rate_evidence import ambiguous_rates, fastest_resolved, rate_evidence
 from hardware.radar.refinement import blocks_about
 from hardware.radar.settings import Processing
 from hardware.waveform import OfdmWaveform
