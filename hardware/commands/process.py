@@ -17,8 +17,11 @@ from hardware.commands.radar import (
     ClutterShape,
     DetectionOption,
     FalseAlarm,
+    Fastest,
     MaxAge,
     MovingOnly,
+    PerCell,
+    RangeRate,
     Resolve,
     Window,
     processing,
@@ -80,6 +83,9 @@ def process(
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
+    per_cell: PerCell = None,
+    fastest: Fastest = None,
+    range_rate: RangeRate = None,
     tracks: Annotated[bool, typer.Option(help="Follow detections from burst to burst.")] = False,
     image_every: Annotated[
         int,
@@ -123,7 +129,18 @@ def process(
         if not camera:
             raise InputError("--distance: is for a camera's --calibration")
         check_positive("--distance", distance)
-    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
+    how = processing(
+        false_alarm,
+        cfar,
+        clutter_shape,
+        detection,
+        window=window,
+        resolve=resolve,
+        moving_only=moving_only,
+        per_cell=per_cell,
+        fastest_m_per_s=fastest,
+        range_rate_m_per_s=range_rate,
+    )
     write_results = partial(
         process_record,
         how=how,

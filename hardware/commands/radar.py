@@ -1,8 +1,9 @@
 """The commands ``ugv detect``, ``image`` and ``spectrogram``: what a radar's record shows."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,6 +40,23 @@ DetectionOption = Annotated[
 Window = Annotated[str | None, typer.Option(help="Window, by its name in scipy.signal.")]
 Resolve = Annotated[bool, typer.Option(help="Separate targets within one cell.")]
 MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
+PerCell = Annotated[
+    int | None, typer.Option(help="Targets of one range and rate to tell by angle; default 1.")
+]
+Fastest = Annotated[
+    float | None,
+    typer.Option(
+        help="Highest speed up to which ambiguous range rates are resolved, m/s; default 50.",
+        parser=quantity_of("m/s"),
+    ),
+]
+RangeRate = Annotated[
+    float | None,
+    typer.Option(
+        help="At which targets move from one carrier step to the next, m/s; default 0.",
+        parser=quantity_of("m/s"),
+    ),
+]
 MaxAge = Annotated[
     float,
     typer.Option(help="Age at which a calibration is refused, days.", parser=quantity_of("d")),
@@ -55,24 +73,23 @@ def processing(
     false_alarm: float | None,
     cfar: str | None,
     clutter_shape: str | None,
-    window: str | None,
-    resolve: bool,
-    moving_only: bool,
-    detection: str | None = None,
+    detection: str | None,
+    **settings: bool | float | str | None,
 ) -> "Processing":
-    """Radar processing of ``ugv detect`` and ``ugv process``; None stands for the default."""
+    """Radar processing of ``ugv detect`` and ``ugv process``, with other ``settings`` by their
+    names; None stands for the default.
+    """
     from hardware.radar.own_detection import detection_of
     from hardware.radar.settings import Processing
 
     own = None if detection is None else detection_of(detection)
-    how = Processing(detection=own, resolve=resolve, moving_only=moving_only)
     asked = {"false_alarm": false_alarm, "method": cfar, "shape": _shape(clutter_shape)}
-    changed = {name: value for name, value in asked.items() if value is not None}
-    return replace(
-        how,
-        window=how.window if window is None else window,
-        cfar=replace(how.cfar, **changed),  # type: ignore[arg-type]
-    )
+    cfar_rule = replace(Processing().cfar, **_given(asked))
+    return Processing(detection=own, cfar=cfar_rule, **_given(settings))
+
+
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _shape(asked: str | None) -> float | str | None:
@@ -95,6 +112,9 @@ def detect(
     window: Window = None,
     resolve: Resolve = False,
     moving_only: MovingOnly = False,
+    per_cell: PerCell = None,
+    fastest: Fastest = None,
+    range_rate: RangeRate = None,
     detection: DetectionOption = None,
     calibration: Annotated[
         Path | None, typer.Option(help="File that `ugv calibrate radar` wrote.")
@@ -119,7 +139,18 @@ def detect(
     reference = calibration_of(say, calibration, max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
-    how = processing(false_alarm, cfar, clutter_shape, window, resolve, moving_only, detection)
+    how = processing(
+        false_alarm,
+        cfar,
+        clutter_shape,
+        detection,
+        window=window,
+        resolve=resolve,
+        moving_only=moving_only,
+        per_cell=per_cell,
+        fastest_m_per_s=fastest,
+        range_rate_m_per_s=range_rate,
+    )
     loaded, table = read_radar_record(record), []
     target = result_file(record, "-detections.csv", out, png)
     say.step(f"read {record}")

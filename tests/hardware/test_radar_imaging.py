@@ -1,5 +1,6 @@
 """Images of direct sums: places, levels, resolution, walls, broken bursts; the commands."""
 
+import csv
 import re
 from dataclasses import replace
 
@@ -240,6 +241,28 @@ def test_ugv_detect_writes_what_it_finds(tmp_path) -> None:
     assert float(row["range_rate_m_per_s"]) == pytest.approx(2.0, abs=0.05)
 
 
+def test_ugv_detect_takes_the_fastest_target_and_targets_of_a_cell(tmp_path) -> None:
+    """35 m/s with slots that tell 24.3 m/s; two directions 20 deg apart in one cell."""
+    wave = OfdmWaveform(79e9, 256, 15e6, 64, 39.0625e-6, 37, 0.06e-6)
+    fast = Echo((3.3, 0, 0), velocity_m_per_s=(35.0, 0, 0))
+    write_radar_record(cube(wave, [fast], noise_w=1e-10), tmp_path / "fast.h5")
+    rates = []
+    for fastest in ([], ["--fastest", "20 m/s"]):
+        ugv("detect", str(tmp_path / "fast.h5"), *fastest)
+        with open(tmp_path / "fast-detections.csv") as file:
+            rates.append(float(dict(zip(*csv.reader(file), strict=True))["range_rate_m_per_s"]))
+    span = 2 * wave.max_velocity_m_per_s
+    np.testing.assert_allclose(rates, [35.0, 35.0 - span], atol=0.05)
+    places = [3.3 * np.array([np.cos(a), np.sin(a), 0]) for a in np.radians([-10, 10])]
+    both = [Echo(tuple(place), phase_rad=k) for k, place in enumerate(places)]
+    write_radar_record(cube(wave, both, noise_w=1e-10, **MIMO), tmp_path / "two.h5")
+    one, two = (ugv("detect", str(tmp_path / "two.h5"), *n) for n in ([], ["--per-cell", "2"]))
+    assert "1 detections" in one.stdout
+    assert "do not fit one direction" in one.stderr
+    assert "2 detections" in two.stdout
+    assert not two.stderr
+
+
 @pytest.mark.library("PIL")
 def test_ugv_image_writes_csv_and_png(tmp_path) -> None:
     from PIL import Image
@@ -282,6 +305,8 @@ def test_ugv_image_of_one_burst_tells_a_range_and_no_direction(tmp_path) -> None
             "--cross-section: 0, expected a number above 0",
         ),
         (["detect", "missing.h5", "--cfar", "so"], "none of ca, go, os"),
+        (["detect", "missing.h5", "--per-cell", "0"], "per_cell: 0"),
+        (["detect", "missing.h5", "--fastest", "-1"], "fastest_m_per_s: -1"),
     ],
 )
 def test_errors_are_one_line(arguments: list[str], told: str) -> None:
