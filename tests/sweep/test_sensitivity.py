@@ -14,7 +14,7 @@ from twin.sweep import load_study, open_sweep, run_sweep
 from twin.sweep.dataset import Progress, dataset
 from twin.sweep.sensitivity import (
     Share,
-    incomplete_blocks,
+    incomplete_sample,
     sensitivities,
     values_without_number,
 )
@@ -166,12 +166,12 @@ def test_blocks_left_out_for_void_points_are_said_with_the_shares(
     data = open_sweep(tmp_path / "drawn").load()
     kept = sensitivities(data, "snr", void=True)[f_number]
     assert abs(kept.first - truth) < kept.first_error
-    assert incomplete_blocks(data, "snr", void=True) == ""
+    assert incomplete_sample(data, "snr", void=True) == ""
     left = sensitivities(data, "snr")[f_number]
     assert abs(left.first - truth) > left.first_error
     n = data["void"].to_numpy().reshape(512, 4).any(axis=1).sum()
-    said = f"approximate: {n} of 512 blocks have void points; --void keeps them"
-    assert incomplete_blocks(data, "snr") == said
+    said = f"approximate: {n} of 512 blocks have points that are void; --void keeps them"
+    assert incomplete_sample(data, "snr") == said
     picture = plot_sensitivities(data, "snr", sensitivities(data, "snr"))
     assert said in picture.axes[0].get_title()
     monkeypatch.setattr(sys, "argv", ["twin", "show", str(tmp_path / "drawn"), "-q", "--json"])
@@ -180,6 +180,13 @@ def test_blocks_left_out_for_void_points_are_said_with_the_shares(
     told = capsys.readouterr()
     assert f"warning: variance of snr: {said}" in told.err
     assert json.loads(told.out)["approximate"] == said
+    text = drawn.read_text().replace('"saltelli"\nn = 512', '"latin-hypercube"\nn = 100')
+    drawn.write_text(text)
+    run_sweep(drawn, out=tmp_path / "even")
+    data = open_sweep(tmp_path / "even").load()
+    n = int(data["void"].sum())
+    assert n > 0
+    assert incomplete_sample(data, "snr").startswith(f"approximate: {n} of 100 drawn points are")
 
 
 def test_a_grid_is_the_whole_of_what_it_describes() -> None:

@@ -218,7 +218,7 @@ def _tell_sensitivities(
     say: Output, data: "xarray.Dataset", metric: str, *, void: bool
 ) -> "Figure":
     """What moves a metric most, as lines and as a picture."""
-    from twin.sweep.sensitivity import incomplete_blocks, sensitivities, values_without_number
+    from twin.sweep.sensitivity import incomplete_sample, sensitivities, values_without_number
     from twin.sweep.show import plot_sensitivities
 
     shares = sensitivities(data, metric, void=void)
@@ -227,7 +227,7 @@ def _tell_sensitivities(
     ordered = sorted(shares.items(), key=lambda item: -item[1].first)
     for name, share in ordered:
         say.verdict(f"variance of {metric}, {share}: {name}")
-    approximate = incomplete_blocks(data, metric, void=void)
+    approximate = incomplete_sample(data, metric, void=void)
     if approximate:
         say.warn(f"variance of {metric}: {approximate}", is_loss=True)
     say.add(

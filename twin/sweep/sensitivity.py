@@ -75,7 +75,7 @@ def sensitivities(
 
     Points without a number, and without ``void`` those whose record is void, are left out; of a
     Saltelli sample with their whole block, which makes its shares approximate by more than their
-    intervals say: `incomplete_blocks`. Beside a sample a drawn point counts that has a number at
+    intervals say: `incomplete_sample`. Beside a sample a drawn point counts that has a number at
     all values of the grid, but for `values_without_number`. Grid: exact. ``saltelli``: both
     orders (Saltelli et al., Comput. Phys. Commun. 181, 2010, and Jansen's estimator of the total).
     ``latin-hypercube``, ``sobol``: first order by RBD-FAST without its bias (Tissot and Prieur,
@@ -190,15 +190,16 @@ def _are_whole(table: Array, design: _Design) -> NDArray[np.bool_]:
     return np.asarray(known.reshape(-1, design.block).all(axis=1))
 
 
-def incomplete_blocks(data: "xarray.Dataset", metric: str, *, void: bool = False) -> str:
-    """How many blocks of a Saltelli sample are left out for one of their points, in words; empty
-    where none is.
+def incomplete_sample(data: "xarray.Dataset", metric: str, *, void: bool = False) -> str:
+    """How many drawn points, of a Saltelli sample how many blocks of them, are left out, in words;
+    empty where none is.
 
-    Blocks that stay are no fair sample of the points that stay: the nearer a block's points are to
-    those that are void, the likelier one of them is, so that it is left out as a whole.
+    Those that stay are no sample of independent parameters: what is void is so for values that go
+    together. Nor are blocks one of what is not void: the nearer a block's points are to those that
+    are void, the likelier one of them is, so that it is left out as a whole.
     """
     design = _design(data)
-    if design is None or design.method != "saltelli":
+    if design is None:
         return ""
 
     def are_whole(with_void: bool) -> NDArray[np.bool_]:
@@ -208,10 +209,11 @@ def incomplete_blocks(data: "xarray.Dataset", metric: str, *, void: bool = False
     whole = are_whole(void)
     if whole.all():
         return ""
-    told = f"approximate: {np.sum(~whole)} of {whole.size} blocks have"
+    blocks = "blocks have points that are" if design.block > 1 else "drawn points are"
+    told = f"approximate: {np.sum(~whole)} of {whole.size} {blocks}"
     if are_whole(True).all():
-        return f"{told} void points; --void keeps them"
-    return f"{told} points without a number" + ("" if void else " or void ones")
+        return f"{told} void; --void keeps them"
+    return f"{told} failed or infinite" + ("" if void else ", or void")
 
 
 def _independent(table: Array, design: _Design) -> Array:

@@ -16,7 +16,7 @@ from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
 from twin.sweep.dataset import column, gain, half_width
 from twin.sweep.names import check_two
-from twin.sweep.sensitivity import Share, incomplete_blocks
+from twin.sweep.sensitivity import Share, incomplete_sample
 
 if TYPE_CHECKING:
     import xarray
@@ -116,7 +116,7 @@ def plot_sensitivities(
     axis.set_yticks(place, names)
     axis.set_xlabel(f"share of the variance of {metric}, 95 % confidence")
     left_out = _left_out(data, column(data, metric, void=void))
-    if approximate := incomplete_blocks(data, metric, void=void):
+    if approximate := incomplete_sample(data, metric, void=void):
         left_out += f"\n{approximate}"
     axis.set_title(f"{names[-1]} moves {metric} most{left_out}", fontsize=10)
     axis.legend(frameon=False, fontsize=8)
