@@ -173,7 +173,7 @@ def run(
                 first = evaluations[0].capture
                 write_truth(first.truth, partial / "truth.exr")
                 write_record(first.record, partial / "record.h5")
-            write_summary(view, evaluations, echoes, partial)
+            write_summary(world, view, evaluations, echoes, partial)
             if figures:
                 with stages.stage("figures"):
                     _write_figures(view, evaluations, echoes, partial)

@@ -416,11 +416,13 @@ def test_a_strong_echo_clips_and_is_flagged() -> None:
 def test_a_converter_of_two_bits_that_reads_nothing_is_told() -> None:
     """Its step of 2^14 counts is above all that comes: summaries divided by the map's noise, 0."""
     radar = changed(load_radar("hybrid-79-slow"), front_end__adc_bits=2)
-    taken = radar_capture(world(targets=(target((20.0, 0, 0)),)), radar)
+    scene = world(targets=(target((20.0, 0, 0)),))
+    taken = radar_capture(scene, radar)
     assert not taken.record.iq.any()
     assert [w.kind for w in taken.warnings if w.void] == ["underexposed"]
     found = evaluate_radar(radar, taken)
     assert "missed: t (the map is empty)" in str(found)
-    [hit] = [f for f in summary(None, [], found)["figures"] if f["name"] == "targets detected"]
+    figures = summary(scene, None, [], found)["figures"]
+    [hit] = [f for f in figures if f["name"] == "targets detected"]
     assert (hit["value"], hit["noise"]) == (0, 0)
     assert "a higher gain" in str(radar_finding(found))

@@ -189,7 +189,7 @@ def test_snr_scatters_with_the_level_and_with_the_noise_of_the_map() -> None:
     drawn = []
     for seed in range(20):
         taken = radar_capture(scene, radar, seed=seed, fidelity=Fidelity(radar="targets"))
-        figures = summary(None, [], evaluate_radar(radar, taken))["figures"]
+        figures = summary(scene, None, [], evaluate_radar(radar, taken))["figures"]
         [snr] = [f for f in figures if f["name"] == "SNR" and f["of"][-1] == "trihedral"]
         drawn.append(Interval(snr["value"], noise=snr["noise"]))
     assert coverage(drawn) >= 0.85

@@ -114,9 +114,7 @@ def test_every_chart_of_the_report_has_data_and_words(finished: Path) -> None:
 
 
 def test_the_summary_says_what_the_verdicts_say(finished: Path) -> None:
-    from html import unescape
-
-    page = unescape((finished / "report.html").read_text())
+    page = html.unescape((finished / "report.html").read_text())
     found = json.loads((finished / "summary.json").read_text())["findings"]
     assert [f["sensor"] for f in found] == ["workable", "paper", "hybrid-79"]
     for finding in found:
@@ -133,6 +131,16 @@ def test_the_report_names_every_setting_and_assumption(finished: Path) -> None:
             assert field in page
             if value.assumed:
                 assert str(escape(value.assumed)) in page
+
+
+def test_page_and_summary_repeat_all_warnings(finished: Path) -> None:
+    """Also of the vehicle's radar processing, of the record that is beside them."""
+    said = json.loads((finished / "summary.json").read_text())["warnings"]
+    processed = process(read_radar_record(finished / "radar.h5")).warnings
+    assert processed
+    assert {("hybrid-79", warning) for warning in processed} < {(w["of"], w["text"]) for w in said}
+    page = html.unescape((finished / "report.html").read_text())
+    assert all(f"{w['of']}: {w['text']}" in page for w in said)
 
 
 def test_the_summary_has_every_figure_with_its_error(finished: Path) -> None:

@@ -192,7 +192,7 @@ def test_a_verdict_tells_errors_beyond_what_was_asked(
     finding = radar_finding(seen)
     assert (finding.state, finding.result) == (state, result)
     assert ("car to 80 %" in str(seen)) == (state == "usable")
-    (said,) = summary(None, [], seen)["findings"]
+    (said,) = summary(world(), None, [], seen)["findings"]
     assert (said["state"], said["result"]) == (state, result)
 
 

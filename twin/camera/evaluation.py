@@ -73,6 +73,12 @@ class Evaluation(Described):
         return verdict if verdict.void else replace(verdict, snr_interval=self.intervals.snr_median)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the capture, and of what the vehicle's reconstructions say of the record."""
+        of_images = (warning for image in self.reconstructions for warning in image.warnings)
+        return tuple(dict.fromkeys([*map(str, self.capture.warnings), *of_images]))
+
+    @property
     def best(self) -> str:
         """The best reconstruction with its score, in words; of a void record there is none."""
         return "no image" if self.capture.void else self._scored(0)

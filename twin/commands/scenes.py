@@ -135,7 +135,7 @@ def run(
         scene=result.scene.name,
         out=result.out,
         seconds=result.seconds,
-        **summary(result.view, result.evaluations, result.radar),
+        **summary(result.scene, result.view, result.evaluations, result.radar),
     )
     say.written(result.out / "report.html", name="report")
 
@@ -150,13 +150,13 @@ def _tell_verdicts(say: Output, result: "Result") -> None:
     for evaluation in result.evaluations:
         if sampled := evaluation.system.sampling_note:
             say.line(f"note: {evaluation.system.name}: {sampled}")
-        for warning in evaluation.capture.warnings:
+        for warning in evaluation.warnings:
             say.warn(f"{evaluation.system.name}: {warning}")
         say.verdict(evaluation)
         verdicts.append({"of": evaluation.system.name, "verdict": str(evaluation)})
     if result.radar:
         name = result.radar.radar.name
-        for warning in result.radar.capture.warnings:
+        for warning in result.radar.warnings:
             say.warn(f"{name}: {warning}")
         say.verdict(result.radar)
         verdicts.append({"of": name, "verdict": str(result.radar)})

@@ -61,6 +61,11 @@ class RadarEvaluation(Described):
         """Of the first burst, strongest first."""
         return self.frame.detections
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of the capture, and of what the vehicle's processing says of the first burst."""
+        return tuple(dict.fromkeys([*map(str, self.capture.warnings), *self.frame.warnings]))
+
     @cached_property
     def intervals(self) -> tuple[DetectionIntervals, ...]:
         """Of each detection, what the model may be off by, and its noise."""

@@ -22,6 +22,7 @@ from twin.report.measured import noise_found
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import radar_summary
 from twin.report.scene_model import scene_model
+from twin.report.sensor_warnings import warnings_of
 from twin.scene import Scene
 from twin.system import System
 
@@ -71,7 +72,7 @@ def write_report(
         settings=[(d, _settings(d)) for d in _designs(evaluations, radar)],
         assumptions=evaluations[0].capture.assumptions if evaluations else (),
         radar=radar_summary(radar) if radar else None,
-        warnings=(*scene.warnings, *_warnings(evaluations, radar)),
+        warnings=[f"{name}: {text}" for name, text in warnings_of(scene, evaluations, radar)],
         decisions=decisions.rows(decisions.decisions_of(evaluations, radar)),
         seconds=stages.seconds,
     )
@@ -129,13 +130,6 @@ def _designs(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -
 def _settings(design: Any) -> list[tuple[str, str, Any]]:
     """Name, value in words, and the value with its source."""
     return [(name, setting_text(name, value.value), value) for name, value in design.values()]
-
-
-def _warnings(evaluations: Sequence[Evaluation], radar: RadarEvaluation | None) -> list[str]:
-    named = [(e.system.name, e.capture.warnings) for e in evaluations]
-    if radar:
-        named.append((radar.radar.name, radar.capture.warnings))
-    return [f"{name}: {warning}" for name, warnings in named for warning in warnings]
 
 
 def _columns(evaluations: Sequence[Evaluation]) -> list[dict[str, str]]:

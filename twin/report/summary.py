@@ -23,24 +23,30 @@ from twin.report.findings import Finding, camera_finding
 from twin.report.measured import emitter_share, noise_found, range_used
 from twin.report.radar_findings import radar_finding
 from twin.report.radar_summary import budget_figures, noise_found_dbm
+from twin.report.sensor_warnings import warnings_of
+from twin.scene import Scene
 
 SUMMARY = "summary.json"
 _FORMAT, _VERSION = "ugv-twin-summary", 1
 
 
 def write_summary(
+    scene: Scene,
     view: View | None,
     evaluations: Sequence[Evaluation],
     radar: RadarEvaluation | None,
     folder: Path,
 ) -> None:
     """Write `summary` as ``summary.json``."""
-    text = json_text(summary(view, evaluations, radar))
+    text = json_text(summary(scene, view, evaluations, radar))
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
 
 
 def summary(
-    view: View | None, evaluations: Sequence[Evaluation], radar: RadarEvaluation | None
+    scene: Scene,
+    view: View | None,
+    evaluations: Sequence[Evaluation],
+    radar: RadarEvaluation | None,
 ) -> dict[str, Any]:
     """Every figure of a run, and every decision of its models.
 
@@ -48,7 +54,8 @@ def summary(
     ``value``, ``standard_error``, ``systematic`` and ``noise`` (see `Interval`), null where nothing
     bounds them; its
     ``decisions`` are effects that were modelled or left out, with the bounds that decided; its
-    ``findings`` are the verdicts on the sensors in words.
+    ``findings`` are the verdicts on the sensors in words; its ``warnings`` have ``of`` (scene,
+    system or radar) and ``text``.
     """
     figures = [figure for evaluation in evaluations for figure in camera_figures(evaluation)]
     figures += _at_equal_time(evaluations)
@@ -68,6 +75,9 @@ def summary(
         "figures": [figure.entry() for figure in figures],
         "decisions": [asdict(decision) for decision in decisions],
         "findings": [_said(finding) for finding in findings],
+        "warnings": [
+            {"of": name, "text": text} for name, text in warnings_of(scene, evaluations, radar)
+        ],
     }
 
 
