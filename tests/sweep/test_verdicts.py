@@ -304,6 +304,15 @@ def test_a_misspelt_metric_is_an_error_in_python_too() -> None:
         Study(name="mine", metrics=("psnr_db",), set={"processing.method": "lmsse"})
 
 
+def test_a_point_has_the_warnings_of_the_radars_processing(tmp_path: Path) -> None:
+    """Of 4 slots, which tell no migration, the rates are ambiguous."""
+    head = 'scene = "yard"\nmetrics = ["detections"]\n[set]\n"fidelity.radar" = "targets"\n'
+    plan = load_study(write(tmp_path, '[grid]\n"radar.waveform.n_slots" = [4]\n', head))
+    told = outcome_of(plan, 0).radar.frame.warnings
+    assert any("range rate: ambiguous" in warning for warning in told)
+    assert evaluate_chunk(plan, 0, 1).warnings["processing"] == {0: "; ".join(told)}
+
+
 def test_an_object_takes_its_target_along(tmp_path: Path) -> None:
     """The car 2 m farther: its mesh, and the point that declares it to the radar; nothing else."""
     path = write(tmp_path, '[grid]\n"scene.objects.car.shift_x_m" = [2.0]\n"scene" = ["yard"]\n')

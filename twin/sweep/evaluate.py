@@ -121,6 +121,8 @@ def _note(chunk: Chunk, index: int, outcome: Outcome) -> None:
             chunk.warnings.setdefault(warning.kind, {}).setdefault(index, str(warning))
         if taken.void:
             chunk.void.setdefault(side, []).append(index)
+    if "radar" in vars(outcome) and (told := outcome.radar.frame.warnings):
+        chunk.warnings.setdefault("processing", {})[index] = "; ".join(told)
 
 
 def _captures(outcome: Outcome) -> Iterator[tuple[str, Any]]:
