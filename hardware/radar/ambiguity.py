@@ -227,15 +227,16 @@ def _second_body(
     echo after subtraction of the first, unless the rate of the first explains it.
     """
     rates = evidence.delay_rate
-    others = [*others, likeliest]
-    left = rate_evidence(_subtract_echoes(blocks, others, noise_w), rates, noise_w)
+    both = [*others, likeliest]
+    left = rate_evidence(_subtract_echoes(blocks, both, noise_w), rates, noise_w)
     own = int(np.argmin(np.abs(rates - likeliest.delay_rate)))
     best = int(left.candidates[0])
     if best == own or left.possible[own]:
         return None
-    second = _measure_at(channel, waveform, echo, left, best, others, noise_w)
+    second = _measure_at(channel, waveform, echo, left, best, both, noise_w)
+    weakest = 1.0 if _is_left_by(second, others, waveform) else _WEAKEST
     is_other = _is_other_fold(second.delay_rate, likeliest, waveform)
-    return second if is_other and _explains(second, echo, channel, waveform, _WEAKEST) else None
+    return second if is_other and _explains(second, echo, channel, waveform, weakest) else None
 
 
 def _is_left_by(
