@@ -11,21 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hardware.commands.output import Output, with_output
+from hardware.commands.processing import with_processing
 from hardware.commands.quantities import quantity_of
-from hardware.commands.radar import (
-    CfarMethod,
-    ClutterShape,
-    DetectionOption,
-    FalseAlarm,
-    Fastest,
-    MaxAge,
-    MovingOnly,
-    PerCell,
-    RangeRate,
-    Resolve,
-    Window,
-    processing,
-)
+from hardware.commands.radar import MaxAge
 from hardware.commands.records import (
     RadarSetup,
     Settings,
@@ -42,6 +30,7 @@ if TYPE_CHECKING:
     from hardware.calibration import CameraCalibration, RadarCalibration
     from hardware.motion_of_tracks import MotionOfTracks
     from hardware.processing import RecordSummary
+    from hardware.radar.settings import Processing
     from hardware.reconstruction.motion import Motion, Search
     from hardware.recording import Received
 
@@ -52,7 +41,7 @@ _CalibrationFiles = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command to an application."""
-    app.command()(with_output(process, "ugv process"))
+    app.command()(with_output(with_processing(process), "ugv process"))
 
 
 def process(
@@ -77,15 +66,7 @@ def process(
         ),
     ] = None,
     records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
-    false_alarm: FalseAlarm = None,
-    cfar: CfarMethod = None,
-    clutter_shape: ClutterShape = None,
-    window: Window = None,
-    resolve: Resolve = False,
-    moving_only: MovingOnly = False,
-    per_cell: PerCell = None,
-    fastest: Fastest = None,
-    range_rate: RangeRate = None,
+    how: "Processing",
     tracks: Annotated[bool, typer.Option(help="Follow detections from burst to burst.")] = False,
     image_every: Annotated[
         int,
@@ -107,7 +88,6 @@ def process(
             "qx, qy, qz] of each sensor, [field_deg] NAME = [down, along] of the camera."
         ),
     ] = None,
-    detection: DetectionOption = None,
 ) -> None:
     """Process records to images and detections; those of a radar as with `ugv detect`."""
     from hardware.interruption import asked_to_end
@@ -129,18 +109,6 @@ def process(
         if not camera:
             raise InputError("--distance: is for a camera's --calibration")
         check_positive("--distance", distance)
-    how = processing(
-        false_alarm,
-        cfar,
-        clutter_shape,
-        detection,
-        window=window,
-        resolve=resolve,
-        moving_only=moving_only,
-        per_cell=per_cell,
-        fastest_m_per_s=fastest,
-        range_rate_m_per_s=range_rate,
-    )
     write_results = partial(
         process_record,
         how=how,

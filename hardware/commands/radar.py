@@ -1,13 +1,12 @@
 """The commands ``ugv detect``, ``image`` and ``spectrogram``: what a radar's record shows."""
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hardware.commands.output import Output, result_file, with_output
+from hardware.commands.processing import MovingOnly, with_processing
 from hardware.commands.quantities import quantity_of
 from hardware.commands.records import calibration_of
 from hardware.errors import InputError
@@ -24,39 +23,6 @@ if TYPE_CHECKING:
     from hardware.waveform import OfdmWaveform
 
 Record = Annotated[Path, typer.Argument(help="Record of a radar (HDF5).")]
-FalseAlarm = Annotated[
-    float | None, typer.Option(help="Probability of a false alarm per cell; default 1e-8.")
-]
-CfarMethod = Annotated[str | None, typer.Option("--cfar", help="Kind of CFAR: ca, go or os.")]
-ClutterShape = Annotated[
-    str | None,
-    typer.Option(
-        help="Shape of K-distributed clutter, or `fitted` to each map; default inf: noise."
-    ),
-]
-DetectionOption = Annotated[
-    str | None, typer.Option(help="Your own detection in place of CFAR: file.py:function.")
-]
-Window = Annotated[str | None, typer.Option(help="Window, by its name in scipy.signal.")]
-Resolve = Annotated[bool, typer.Option(help="Separate targets within one cell.")]
-MovingOnly = Annotated[bool, typer.Option(help="Leave out static targets.")]
-PerCell = Annotated[
-    int | None, typer.Option(help="Targets of one range and rate to tell by angle; default 1.")
-]
-Fastest = Annotated[
-    float | None,
-    typer.Option(
-        help="Highest speed up to which ambiguous range rates are resolved, m/s; default 50.",
-        parser=quantity_of("m/s"),
-    ),
-]
-RangeRate = Annotated[
-    float | None,
-    typer.Option(
-        help="At which targets move from one carrier step to the next, m/s; default 0.",
-        parser=quantity_of("m/s"),
-    ),
-]
 MaxAge = Annotated[
     float,
     typer.Option(help="Age at which a calibration is refused, days.", parser=quantity_of("d")),
@@ -65,57 +31,15 @@ MaxAge = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the radar's commands."""
-    for command in (detect, image, spectrogram):
+    for command in (with_processing(detect), image, spectrogram):
         app.command()(with_output(command, f"ugv {command.__name__}"))
-
-
-def processing(
-    false_alarm: float | None,
-    cfar: str | None,
-    clutter_shape: str | None,
-    detection: str | None,
-    **settings: bool | float | str | None,
-) -> "Processing":
-    """Radar processing of ``ugv detect`` and ``ugv process``, with other ``settings`` by their
-    names; None stands for the default.
-    """
-    from hardware.radar.own_detection import detection_of
-    from hardware.radar.settings import Processing
-
-    own = None if detection is None else detection_of(detection)
-    asked = {"false_alarm": false_alarm, "method": cfar, "shape": _shape(clutter_shape)}
-    cfar_rule = replace(Processing().cfar, **_given(asked))
-    return Processing(detection=own, cfar=cfar_rule, **_given(settings))
-
-
-def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _shape(asked: str | None) -> float | str | None:
-    """Value of ``--clutter-shape``."""
-    try:
-        return asked if asked in (None, "fitted") else float(asked)
-    except ValueError:
-        raise InputError(
-            f"--clutter-shape: {asked!r}, expected a positive number or 'fitted'"
-        ) from None
 
 
 def detect(
     say: Output,
     record: Record,
     *,
-    false_alarm: FalseAlarm = None,
-    cfar: CfarMethod = None,
-    clutter_shape: ClutterShape = None,
-    window: Window = None,
-    resolve: Resolve = False,
-    moving_only: MovingOnly = False,
-    per_cell: PerCell = None,
-    fastest: Fastest = None,
-    range_rate: RangeRate = None,
-    detection: DetectionOption = None,
+    how: "Processing",
     calibration: Annotated[
         Path | None, typer.Option(help="File that `ugv calibrate radar` wrote.")
     ] = None,
@@ -139,18 +63,6 @@ def detect(
     reference = calibration_of(say, calibration, max_age) if calibration else None
     if not (reference is None or isinstance(reference, RadarCalibration)):
         raise InputError(f"{calibration}: the calibration of a camera, expected a radar's")
-    how = processing(
-        false_alarm,
-        cfar,
-        clutter_shape,
-        detection,
-        window=window,
-        resolve=resolve,
-        moving_only=moving_only,
-        per_cell=per_cell,
-        fastest_m_per_s=fastest,
-        range_rate_m_per_s=range_rate,
-    )
     loaded, table = read_radar_record(record), []
     target = result_file(record, "-detections.csv", out, png)
     say.step(f"read {record}")
