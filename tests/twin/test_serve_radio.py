@@ -1,12 +1,10 @@
 """The virtual radio: behind a radio's bytes the twin is the twin, to the bit; its faults show."""
 
-import json
 import os
 import signal
 import struct
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -191,129 +189,6 @@ def test_a_second_client_is_refused_until_the_first_has_gone(scene) -> None:
             ZeroMqRadio("127.0.0.1", port)
         with ZeroMqRadio("127.0.0.1", port) as again:
             assert again.now_ns() == 0
-
-
-class _Client:
-    """A client of its own, which does not wait for an answer where it does not want one."""
-
-    def __init__(self, context: zmq.Context, port: int) -> None:
-        self.socket = context.socket(zmq.DEALER)
-        self.socket.connect(f"tcp://127.0.0.1:{port}")
-        self._number = 0
-
-    def send(self, do: str, *frames: bytes, **fields) -> None:
-        self._number += 1
-        message = json.dumps({"do": do, "number": self._number, **fields}).encode()
-        self.socket.send_multipart([b"", message, *frames])
-
-    def answer(self, do: str, *frames: bytes, **fields) -> dict:
-        """The answer to a command within a second: a sweep here is never ready by itself."""
-        self.send(do, *frames, **fields)
-        while self.socket.poll(1000):
-            answer = json.loads(self.socket.recv_multipart()[1])
-            if answer["number"] == self._number:
-                return answer
-        raise AssertionError(f"{do}: no answer")
-
-
-def _with_slow_sweeps(scene) -> tuple[VirtualRadio, threading.Event, threading.Event]:
-    """A radio whose sweeps after the first are not ready until the first event is set; the second
-    is set as one is asked for.
-    """
-    design, ready, asked = small(), threading.Event(), threading.Event()
-    sweeps = RadarSweeps(scene, design, SEED, QUICK)
-
-    def slow(number: int):
-        if number:
-            asked.set()
-            ready.wait()
-        return sweeps(number)
-
-    return VirtualRadio(design, slow, clock=DeviceClock("fast")), ready, asked
-
-
-def _up_to_a_slow_sweep(client: _Client, radio: VirtualRadio) -> None:
-    """Play the first sweep, and tune for the second without waiting for it."""
-    sent = samples.burst(radio.waveform, radio.level).tobytes()
-    client.answer("open", version=2)
-    client.answer("tune", carrier_hz=radio.carriers_hz[0])
-    assert client.answer("burst", sent, start_ns=10**6)["start_ns"] == 10**6
-    client.send("tune", carrier_hz=radio.carriers_hz[0])
-
-
-def test_commands_are_answered_while_a_sweep_is_computed(scene) -> None:
-    """Who waits for a sweep may still ask for the time; another is refused at once, and has the
-    radio as soon as the first has closed, though the sweep is not there yet. Then the sweep is the
-    second client's, to the bit.
-    """
-    radio, ready, asked = _with_slow_sweeps(scene)
-    context = zmq.Context()
-    with served(radio) as port:
-        try:
-            one, two = _Client(context, port), _Client(context, port)
-            _up_to_a_slow_sweep(one, radio)
-            assert asked.wait(10)
-            assert one.answer("time")["time_ns"] >= 10**6
-            assert "busy" in two.answer("open", version=2)["error"]
-            assert "error" not in one.answer("close")
-            assert "error" not in two.answer("open", version=2)
-            assert "error" not in two.answer("close")
-            driver = ZeroMqRadio("127.0.0.1", port)
-        finally:
-            ready.set()
-        with driver:
-            record = acquire(driver, radio.schedule, radio.front_end)
-        context.destroy(linger=0)
-    assert np.array_equal(record.iq, direct(scene, small(), 1).iq)
-
-
-def test_who_waits_for_a_sweep_has_the_radio_until_it_goes_away(scene, monkeypatch) -> None:
-    """Silence while an answer is due is none; a client that is gone when its answer comes is."""
-    monkeypatch.setattr("twin.serve.zeromq._LEASE_S", 0.3)
-    radio, ready, asked = _with_slow_sweeps(scene)
-    context = zmq.Context()
-    with served(radio) as port:
-        try:
-            one, two = _Client(context, port), _Client(context, port)
-            _up_to_a_slow_sweep(one, radio)
-            assert asked.wait(10)
-            time.sleep(0.5)
-            assert "busy" in two.answer("open", version=2)["error"]
-            monkeypatch.setattr("twin.serve.zeromq._LEASE_S", 3600.0)
-            one.socket.close(linger=0)
-            time.sleep(0.3)
-        finally:
-            ready.set()
-        until = time.monotonic() + 10
-        while "error" in two.answer("open", version=2):
-            assert time.monotonic() < until
-        context.destroy(linger=0)
-
-
-def test_commands_that_are_sent_without_waiting_are_done_in_order(scene) -> None:
-    """Up to 64 of them; more are refused, and a client that closes takes back what is not begun."""
-    radio, ready, asked = _with_slow_sweeps(scene)
-    context = zmq.Context()
-    with served(radio) as port:
-        try:
-            one = _Client(context, port)
-            _up_to_a_slow_sweep(one, radio)
-            assert asked.wait(10)
-            for _ in range(64):
-                one.send("tune", carrier_hz=radio.carriers_hz[0])
-            refused = one.answer("tune", carrier_hz=radio.carriers_hz[0])
-            assert "64 commands are waiting" in refused["error"]
-            one.answer("close")
-        finally:
-            ready.set()
-        with ZeroMqRadio("127.0.0.1", port) as driver:
-            assert driver.tune(radio.carriers_hz[0]).carrier_hz == radio.carriers_hz[0]
-        answers = 0
-        while one.socket.poll(300):
-            one.socket.recv_multipart()
-            answers += 1
-        assert answers == 1  # of the command that was at work
-        context.destroy(linger=0)
 
 
 @pytest.mark.parametrize(
