@@ -23,7 +23,7 @@ from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.negative_light import negative_light
-from hardware.reconstruction.noise import finest_patterns
+from hardware.reconstruction.noise import finest_patterns, is_full
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
@@ -237,13 +237,18 @@ def _of_unsmoothed(
     error: Array, of_most: Array | None, measured: Measurements, sensing: Sensing
 ) -> Array | None:
     """Standard errors for the most noise there can be, ``(n_cells, n_detectors)``: those of an
-    image that is smoothed for it, ``of_most``; where a full set does not tell noise from detail,
-    its image is not smoothed, and has all of that noise.
+    image that is smoothed for it, ``of_most``; where a full set, or almost, does not tell noise
+    from detail, its image is not smoothed, and has all of that noise.
     """
-    if of_most is None or sensing.count < sensing.n_cells:
-        return of_most
     told, most = measured.noise_variance, measured.most_noise_variance
-    grown = error * np.sqrt(np.divide(most, told, out=np.ones_like(most), where=told > 0))
+    if of_most is None or not is_full(sensing.count, sensing.n_cells):
+        return of_most
+    if sensing.count >= sensing.n_cells:
+        grown = error * np.sqrt(np.divide(most, told, out=np.ones_like(most), where=told > 0))
+    elif sensing.is_dense:
+        return of_most
+    else:  # beside what is unseen, which does not grow with the noise
+        grown = np.hypot(error, np.sqrt(most * sensing.count) / sensing.n_cells)
     return np.where(measured.noise_told, of_most, np.fmax(of_most, grown))
 
 

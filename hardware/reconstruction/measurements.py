@@ -9,6 +9,7 @@ from hardware.errors import InputError
 from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan, fwht
 from hardware.reconstruction.noise import (
     finest_patterns,
+    is_full,
     most_scatter,
     noise_beside_detail,
     noise_of_sums,
@@ -94,8 +95,9 @@ def measurements(record: SpiRecord) -> Measurements:
     Reference, plain and S-matrix sets show nothing twice. What tells noise from detail is then
     their spectra (`hardware.reconstruction.noise.noise_beside_detail`), and the scatter of the
     finest patterns is the most that noise can be (`hardware.reconstruction.noise.most_scatter`).
-    Scenes may be as flat as noise: a single bright cell, a checkerboard. So a full set is smoothed
-    only by noise that its photons explain (`MOST_OVER_PHOTONS`); what is more stays in the image.
+    Scenes may be as flat as noise: a single bright cell, a checkerboard. So a full set, or one
+    that lacks an eighth at most, is smoothed only by noise that its photons explain
+    (`MOST_OVER_PHOTONS`); what is more stays in the image.
     The finest patterns of a subset hold detail whose amount is unknown: its noise is never told.
 
     A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
@@ -128,7 +130,7 @@ def measurements(record: SpiRecord) -> Measurements:
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
     most = np.maximum(most_scatter(values, patterns), rounding)
     noise = noise_beside_detail(values, patterns)
-    if full := patterns.count == patterns.n_cells:
+    if full := is_full(patterns.count, patterns.n_cells):
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
     told = (noise > 0) & np.isfinite(most) & full

@@ -38,6 +38,8 @@ _DETAIL = np.concatenate([np.arange(1.0, 0.09, -0.05), np.geomspace(0.05, 1e-8, 
 _EVIDENCE = 6.63
 #: Prior variances within this factor are taken as one.
 _BIN = 1.25
+#: Share of all patterns from which on a set counts as full: what lost ones leave unseen is little.
+_FULL = 7 / 8
 
 
 def noise_of_sums(constant: Array, *, in_turn: bool) -> Array:
@@ -122,6 +124,11 @@ def errors_of_few(degrees: float) -> float:
     return -float(stdtrit(degrees, ndtr(-_FAR))) if degrees > 0 else np.inf
 
 
+def is_full(count: int, n_cells: int) -> bool:
+    """Whether almost all patterns are shown, so that the finest of them are those of the image."""
+    return count >= _FULL * n_cells
+
+
 def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
     """Variance of the noise in values ``(count, n_images)`` that hold detail too, ``(n_images,)``.
 
@@ -140,8 +147,10 @@ def noise_beside_detail(values: Array, patterns: PatternSet) -> Array:
     log_scale = np.log(np.maximum(scale, np.finfo(float).tiny))
     misfit = len(bins.order) * log_scale.sum(axis=1) + values.shape[1] * bins.logarithm
     best = int(np.argmin(misfit))
-    full = patterns.count == patterns.n_cells
-    if full and misfit[bins.noise == 0].min() - misfit[best] < _EVIDENCE:
+    if (
+        is_full(patterns.count, patterns.n_cells)
+        and misfit[bins.noise == 0].min() - misfit[best] < _EVIDENCE
+    ):
         return np.zeros(values.shape[1])
     return np.asarray(scale[best] * bins.noise[best])
 

@@ -138,6 +138,15 @@ class Sensing:
         return _measures_level(self)
 
     @property
+    def of_flat(self) -> Array:
+        """Measurements (count,) of an image that is 1 everywhere: none of it is left to rounding
+        where no level is measured.
+        """
+        if not self.measures_level:
+            return np.zeros(self.count)
+        return np.asarray(self.forward(np.ones(self.n_cells)))
+
+    @property
     def matrix(self) -> Array:
         """The dense matrix ``(count, n_cells)``."""
         if self.is_dense:

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError
 from hardware.patterns import fwht
 from hardware.reconstruction.cosine import filtered
 from hardware.reconstruction.prior import cell_variance, prior_spectrum, walsh_variance
@@ -87,8 +88,13 @@ def _binned(variance: Array) -> tuple[Array, Array]:
 
 
 def _of_matrix(sensing: Sensing) -> Unseen:
-    """Of any matrix: its unseen directions count with the mean of their prior variances."""
+    """Of any matrix: its unseen directions count with the mean of their prior variances.
+
+    Raises InputError where no pattern differs from the others.
+    """
     _, size, vt = singular_vectors(sensing)
+    if size[0] < 1e-9:
+        raise InputError("patterns: all alike, so that plain exposures tell nothing of the image")
     seen = vt[size > 1e-9 * size[0]].T
     count, n = sensing.n_cells - seen.shape[1], sensing.n_cells
     if count == 0:

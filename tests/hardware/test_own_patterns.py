@@ -172,6 +172,31 @@ def test_with_a_mixing_both_are_inverted() -> None:
     np.testing.assert_allclose(found, cells, atol=20)
 
 
+@pytest.mark.parametrize("method", ["lmmse", "least-squares", "tv", "fista"])
+def test_plain_patterns_of_equally_many_lit_cells_tell_no_level(method: str) -> None:
+    """What rounding leaves of a flat image had been taken for its level: images of 1e15."""
+    rng = np.random.default_rng(0)
+    stack = np.zeros((100, 64), dtype=int)
+    for row in stack:
+        row[rng.choice(64, 32, replace=False)] = 1
+    cells = rng.uniform(0, 1e4, 64)
+    patterns = own_patterns(stack.reshape(-1, 8, 8), mode="plain")
+    found = reconstruct(record_of(patterns, cells, background=3000.0, noise=5.0), method)
+    image = found.image[0].ravel()
+    assert abs(image.mean()) < 1e-6 * cells.mean()
+    assert np.std(image - cells) < 0.1 * cells.std()
+    assert any("its mean is set to 0" in warning for warning in found.warnings)
+    if found.standard_error is not None:
+        assert found.standard_error.max() < 1e4
+
+
+@pytest.mark.parametrize("method", ["lmmse", "least-squares"])
+def test_plain_patterns_that_are_all_alike_are_refused(method: str) -> None:
+    patterns = own_patterns(np.ones((5, 8, 8), dtype=int), mode="plain")
+    with pytest.raises(InputError, match="patterns: all alike"):
+        reconstruct(record_of(patterns, np.full(64, 100.0)), method)
+
+
 def test_lost_patterns_are_left_out_and_unlit_cells_named() -> None:
     from dataclasses import replace
 

@@ -27,7 +27,7 @@ def least_squares(
     if unseen_of(sensing).count == 0:  # no prior is needed
         return cells, np.sqrt(noise)
     level = float(lmmse(values, noise_variance, sensing)[0].mean())
-    of_level = level * (1 - inverse @ sensing.forward(np.ones(sensing.n_cells)))
+    of_level = level * (1 - inverse @ sensing.of_flat)
     noise += of_level**2  # what is not measured of a flat image, which the prior leaves out
     independent = lmmse_plan(sensing).structure(values)
     return cells, error_of_plain_inverse(cells, noise, independent, noise_variance, sensing)

@@ -291,7 +291,7 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
     gram = (gram + gram.T) / 2
     eigenvalues, eigenvectors = np.linalg.eigh(gram)
     cells = np.ascontiguousarray(covariance @ eigenvectors)
-    flat = sensing.forward(np.ones(sensing.n_cells))
+    flat = sensing.of_flat
     without = _without(flat, _without(flat, gram).T)
     variances, independent = np.linalg.eigh((without + without.T) / 2)
     told = variances > _NULL * max(float(variances[-1]), float(np.finfo(float).tiny))

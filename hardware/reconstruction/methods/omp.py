@@ -68,7 +68,7 @@ def omp_plan(sensing: Sensing, dictionary: str) -> OmpPlan:
     rows, columns = sensing.shape
     bases = DICTIONARIES[dictionary](rows), DICTIONARIES[dictionary](columns)
     weights = prior_deviation(dictionary, rows, columns).ravel()
-    flat = sensing.forward(np.ones(sensing.n_cells))
+    flat = sensing.of_flat
     along_flat, energy = np.zeros((2, sensing.n_cells))
     for some, rows_seen in _measured(sensing, bases):
         energy += np.einsum("ij,ij->j", rows_seen, rows_seen)
