@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
 from hardware.radar.refinement import BlockGrid, Blocks
+from hardware.radar.residue import AROUND
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 CERTAIN = float(np.log(1e3))
 _USUAL_RATE = 2 * 10.0 / C_M_PER_S  # standard deviation before anything is measured: of 10 m/s
 _MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
+_FAR_WEAKER = 0.5  # of the likeliest rate's level: less, parts that move otherwise do not explain
 _BESIDE = 0.5  # cells of rate from the best of the half cells, within which a body's rate is
 _FINE = 33  # rates tried there: what is left of one between two of them is 1e-3 of its power
 _FARTHEST = 9  # cells to each side that are searched: a quarter of the blocks' own reach
@@ -37,12 +39,14 @@ class RateEvidence:
     the cells searched, in white noise and what the best rate leaves, up to a constant. ``level``
     (n_rates,): signal over noise in the best row of one rate, which is largest for the true rate
     also of an extended target. ``step`` (n_rates, 2): cells of delay and rate to the highest power.
+    ``misfit``: noise with what the best rate leaves, over noise alone.
     """
 
     delay_rate: Array
     log_likelihood: Array
     level: Array
     step: Array
+    misfit: float
 
     @property
     def candidates(self) -> NDArray[np.intp]:
@@ -56,10 +60,13 @@ class RateEvidence:
     @property
     def possible(self) -> NDArray[np.bool_]:
         """Rates (n_rates,) that the data cannot exclude against the likeliest."""
-        unlikely = self.log_likelihood < self.log_likelihood.max() - CERTAIN
+        behind = self.log_likelihood.max() - self.log_likelihood
         # A smear of neighbours may look like a point; the level around it says otherwise.
         weak = self.level < (1 - _MODEL) * self.level.max()
-        return np.asarray(~(unlikely & weak))
+        # Half of the level no chance of what is left makes up for, only noise.
+        far_weaker = self.level < _FAR_WEAKER * self.level.max()
+        unlikely = (weak & (behind > CERTAIN)) | (far_weaker & (self.misfit * behind > CERTAIN))
+        return np.asarray(~unlikely)
 
 
 def ambiguous_rates(waveform: OfdmWaveform, delay_rate: float, fastest: float) -> Array:
@@ -122,14 +129,17 @@ def rate_evidence(blocks: Blocks, delay_rates: Array, noise_w: float) -> RateEvi
     noise = max(least, float(np.partition(flat, middle, axis=1)[:, middle].min()) / len(sums))
     at = flat.argmax(axis=1)
     highest_w = flat.max(axis=1, keepdims=True)
+    step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
     rows = np.maximum(power / noise - len(sums), 0).sum(axis=1)
     best = int(rows.max(axis=1).argmax())
     amplitude = cells[best].reshape(len(sums), -1)[:, at[best]]
     rest = _without_one_rate(still[best], blocks.grid, steps[rows[best].argmax()])
-    noise += _misfit_w(across[::2] @ rest @ along[:, ::2], amplitude, noise)
-    spread = np.log(np.sum(np.exp((flat - highest_w) / noise), axis=1))
-    step = steps[np.stack(np.divmod(at, len(steps)), axis=-1)]
-    return RateEvidence(delay_rates, (highest_w / noise)[:, 0] + spread, rows.max(axis=1), step)
+    around = [np.abs(steps - place) <= AROUND for place in step[best]]
+    rest = across[around[0]][::2] @ rest @ along[:, around[1]][:, ::2]
+    with_misfit = noise + _misfit_w(rest, amplitude, noise)
+    spread = np.log(np.sum(np.exp((flat - highest_w) / with_misfit), axis=1))
+    likelihood = (highest_w / with_misfit)[:, 0] + spread
+    return RateEvidence(delay_rates, likelihood, rows.max(axis=1), step, with_misfit / noise)
 
 
 def _without_one_rate(sums: Complex, grid: BlockGrid, step: float) -> Complex:
