@@ -110,6 +110,17 @@ def mixed_directions(fits: Sequence[bool], how: Processing) -> list[str]:
     ]
 
 
+def scattered_phases(burst: int, variance: float, n_left_out: int) -> list[str]:
+    """A warning of peaks that phases of slots make beside a strong echo."""
+    if not n_left_out:
+        return []
+    return [
+        f"burst {burst}: phases differ from slot to slot by {variance**0.5:.2g} rad: {n_left_out} "
+        "peaks at the delays of stronger echoes, whose spread over the rates they may be, are "
+        "left out"
+    ]
+
+
 def of_the_map(
     burst: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
 ) -> list[str]:

@@ -107,11 +107,17 @@ def with_steady_phase(
 
 
 def _scatters_more(phase: Array, amplitude: Array) -> bool:
-    """Whether phases of slots scatter more than amplitudes do, by an F-test of the variances."""
+    """Whether phases of slots scatter more than amplitudes do."""
+    return scatter_more(float(np.var(phase)), float(np.var(amplitude)), len(phase) - 1)
+
+
+def scatter_more(of_phase: float, of_amplitude: float, free: int) -> bool:
+    """Whether a variance of phases is beyond that of amplitudes, each of so many degrees of
+    freedom, by an F-test.
+    """
     from scipy.special import fdtri
 
-    free = len(phase) - 1
-    return bool(free and np.var(phase) > fdtri(free, free, 1 - _CHANCE) * np.var(amplitude))
+    return bool(free and of_phase > fdtri(free, free, 1 - _CHANCE) * of_amplitude)
 
 
 def _slopes(relative: Complex, time: Array) -> tuple[Array, Array]:

@@ -23,6 +23,7 @@ from hardware.radar.detection_warnings import (
     mixed_directions,
     moving_side_lobes,
     of_the_map,
+    scattered_phases,
     shifted_ranges,
     too_many,
     untested_rates,
@@ -35,6 +36,12 @@ from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.settings import Processing
 from hardware.radar.several_directions import CellTarget, targets_of_cell
+from hardware.radar.slot_phases import (
+    phase_variance,
+    with_phases_of_turns,
+    with_rate_error,
+    without_spread,
+)
 from hardware.radar.superresolution import split_targets
 from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
@@ -180,16 +187,24 @@ def _detections(
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
+    variance = phase_variance(echoes[0], interval) if echoes else 0.0
+    n_peaks = len(echoes)
+    echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
+    scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
-    warnings = [*too_many(burst, len(echoes), how), *of_the_map(burst, image, how, clutter)]
+    warnings = [
+        *too_many(burst, len(echoes), how),
+        *of_the_map(burst, image, how, clutter),
+        *scattered,
+    ]
     if echoes:
         warnings += [*untested_rates(interval.waveform, how), *coupled_ranges(interval, how)]
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
-    cells = [_points(echo, interval, how.per_cell) for echo in echoes]
+    cells = [_points(echo, interval, how.per_cell, variance) for echo in echoes]
     points = [point for cell, _ in cells for point in cell]
     if len(points) > len(cells):
         points.sort(key=lambda point: -point.power_w)
@@ -221,24 +236,27 @@ def frames(
 
 
 def _points(
-    echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int
+    echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int, variance: float
 ) -> tuple[list[Detection], bool]:
     """The detection of an echo with its direction, or several of `targets_of_cell`, and whether
     their directions leave noise alone.
 
-    The array may exclude rates that migration cannot.
+    The array may exclude rates that migration cannot. ``variance``: of the phases of slots.
     """
-    echo = with_noise_of_its_cell(echo, interval)
+    echo = with_rate_error(with_noise_of_its_cell(echo, interval), interval, variance)
     if not np.any(extents(virtual_array(interval))[1:] > 0):
         return [_detection(echo, interval)], True
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
-    bearing = direction(echo.amplitude, interval, rates, echo.noise)
-    echo = replace(
-        echo,
-        delay_rate=bearing.delay_rate if measured else float("nan"),
-        delay_rate_alternatives=bearing.delay_rate_alternatives,
-    )
+    noise = with_phases_of_turns(echo.noise, echo.amplitude, interval, variance)
+    bearing = direction(echo.amplitude, interval, rates, noise)
+    if per_cell > 1 and not bearing.fits:
+        cell = targets_of_cell(echo.amplitude, interval, rates, noise, per_cell)
+        if cell.targets:
+            others = tuple(rate for rate in rates if rate != cell.delay_rate)
+            point = _detection(_at_rate(echo, cell.delay_rate, others), interval)
+            return [_one_of(point, target, echo.power_w) for target in cell.targets], cell.fits
+    echo = _at_rate(echo, bearing.delay_rate, bearing.delay_rate_alternatives)
     point = replace(
         _detection(echo, interval),
         azimuth_rad=bearing.azimuth_rad,
@@ -248,12 +266,19 @@ def _points(
         azimuth_alternatives_rad=tuple(other.azimuth_rad for other in bearing.alternatives),
         elevation_alternatives_rad=tuple(other.elevation_rad for other in bearing.alternatives),
     )
-    if per_cell == 1 or bearing.fits:
-        return [point], bearing.fits
-    targets, fits = targets_of_cell(
-        echo.amplitude, interval, bearing.delay_rate, echo.noise, per_cell
+    return [point], bearing.fits
+
+
+def _at_rate(
+    echo: EchoMeasurement, delay_rate: float, alternatives: tuple[float, ...]
+) -> EchoMeasurement:
+    """An echo with another of its rates, where one is measured."""
+    measured = not np.isnan(echo.delay_rate)
+    return replace(
+        echo,
+        delay_rate=delay_rate if measured else float("nan"),
+        delay_rate_alternatives=alternatives,
     )
-    return [_one_of(point, target, echo.power_w) for target in targets] or [point], fits
 
 
 def _detection(echo: EchoMeasurement, interval: DemodulatedBurst) -> Detection:

@@ -8,6 +8,7 @@ noise of the cell: in white noise the Cramer-Rao bound for unknown amplitudes (S
 IEEE Trans. ASSP 37, 1989).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -33,6 +34,7 @@ Complex = NDArray[np.complex128]
 _TOLD = 4.3  # standard errors of an amplitude: by chance one of 1e-4 exceeds them
 _APART = 8.0  # standard errors between directions; nearer ones the errors hold no more
 _ALIKE = 1e-7  # share of the strongest change of the channels that counts as none
+_SAME_PHASES = 1e-3  # radians between rates that differ by whole turns from turn to turn
 _PER_LOBE = 4  # directions of the beam that are looked at
 
 
@@ -52,6 +54,19 @@ class CellTarget:
 
 
 @dataclass(frozen=True, eq=False)
+class CellTargets:
+    """The targets of a cell that one direction does not explain, the strongest first; none where
+    two or more cannot be told from each other. ``fits``: whether what they leave, ``rest_w`` on all
+    channels together, may be noise. ``delay_rate``: for which they hold.
+    """
+
+    targets: list[CellTarget]
+    fits: bool
+    rest_w: float
+    delay_rate: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Fit:
     """Direction cosines to the left (n,), amplitudes (n,), and what they leave (n_channels,)."""
 
@@ -67,12 +82,12 @@ class _Fit:
 def targets_of_cell(
     amplitude: Complex,
     burst: DemodulatedBurst,
-    delay_rate: float,
+    delay_rates: Sequence[float],
     noise: ChannelNoise,
     at_most: int,
-) -> tuple[list[CellTarget], bool]:
-    """The targets of a cell that one direction does not explain, the strongest first, and whether
-    what they leave may be noise. None where two or more cannot be told from each other.
+) -> CellTargets:
+    """The targets of a cell at the one of its delay rates, likeliest first, at which they explain
+    most of the amplitudes: at another one a single direction may explain more.
 
     Raises InputError where the antennas are no evenly spaced line to the left, or for more targets
     than it resolves.
@@ -80,12 +95,39 @@ def targets_of_cell(
     most = most_targets(burst)
     if at_most > most:
         raise InputError(f"per_cell: {at_most}, expected at most {most} with the record's antennas")
+    cells = [
+        _targets_at(amplitude, burst, rate, noise, at_most)
+        for rate in _of_unlike_phases(delay_rates, burst)
+    ]
+    return min(cells, key=lambda cell: (not cell.targets, cell.rest_w))
+
+
+def _of_unlike_phases(delay_rates: Sequence[float], burst: DemodulatedBurst) -> list[float]:
+    """Rates that turn the phases between the transmitters' turns each in another way."""
+    turns = np.exp(
+        2j * np.pi * burst.waveform.carrier_hz * np.outer(delay_rates, burst.tdm_offset_s)
+    )
+    turns /= turns[:, :1]
+    unlike: list[int] = []
+    for i, turn in enumerate(turns):
+        if not unlike or np.abs(turns[unlike] - turn).max(axis=1).min() > _SAME_PHASES:
+            unlike.append(i)
+    return [delay_rates[i] for i in unlike]
+
+
+def _targets_at(
+    amplitude: Complex,
+    burst: DemodulatedBurst,
+    delay_rate: float,
+    noise: ChannelNoise,
+    at_most: int,
+) -> CellTargets:
+    """The targets of a cell at one delay rate."""
     still, noise = at_one_time(amplitude, noise, burst, delay_rate)
     places = virtual_array(burst)[:, 1] / burst.waveform.wavelength_m
     spacing = line_spacing(burst)
     fit = _joint_fit(_highest(still, places), still, places)
-    targets: list[CellTarget] = []
-    fits = False
+    cell = CellTargets([], False, fit.rest_w, delay_rate)
     for n_targets in range(2, at_most + 1):
         starts = (
             np.sin(music(still, burst, n_targets)),
@@ -94,10 +136,11 @@ def targets_of_cell(
         fit = min((_joint_fit(s, still, places) for s in starts), key=lambda one: one.rest_w)
         if (told := _told(fit, places, spacing, noise)) is None:
             break
-        targets, fits = told, fit_explains(still, _steering(fit.left, places), noise)
+        fits = fit_explains(still, _steering(fit.left, places), noise)
+        cell = CellTargets(told, fits, fit.rest_w, delay_rate)
         if fits:
             break
-    return targets, fits
+    return cell
 
 
 def _steering(left: Array, places: Array) -> Complex:

@@ -37,7 +37,8 @@ def targets(
     burst: DemodulatedBurst, amplitude: np.ndarray, at_most: int = 2
 ) -> tuple[list[CellTarget], bool]:
     noise = ChannelNoise.white(len(amplitude), 1.0)
-    return targets_of_cell(amplitude, burst, 0.0, noise, at_most)
+    cell = targets_of_cell(amplitude, burst, [0.0], noise, at_most)
+    return cell.targets, cell.fits
 
 
 def bounds(azimuths_deg: list[float], amplitudes: list[complex], places: np.ndarray) -> np.ndarray:
@@ -184,3 +185,26 @@ def test_a_sparse_line_leaves_directions_open(burst: DemodulatedBurst) -> None:
     for one in found:
         (other,) = np.sin(one.alternatives_rad)
         assert abs(other - np.sin(one.azimuth_rad)) == pytest.approx(1)
+
+
+def test_several_targets_tell_the_fold_of_the_rate(burst: DemodulatedBurst) -> None:
+    """Two transmitters by turns: at every other rate that folds to the true one, one of them is
+    turned by half a cycle. Of 40 cells of two targets 22 deg apart, 33 and 31 dB, with all rates as
+    likely before, one direction alone explains more at a wrong rate in some; two do not.
+    """
+    turns = np.repeat([-0.5, 0.5], 4) * WIDE.slot_period_s
+    burst = replace(burst, tdm_offset_s=turns)
+    span = 1 / (WIDE.carrier_hz * 2 * WIDE.slot_period_s)
+    rates, noise = [-span, 0.0, span, 2 * span], ChannelNoise.white(8, 1.0)
+    rng, by_one, by_two = np.random.default_rng(4), 0, 0
+    for _ in range(40):
+        middle_deg = rng.uniform(-20, 20)
+        levels = np.array([45.0, 36.0]) * np.exp(2j * np.pi * rng.uniform(size=2))
+        amplitude = echo(burst, [middle_deg - 11, middle_deg + 11], list(levels), rng)
+        by_one += direction(amplitude, burst, rates, noise).delay_rate != 0
+        cell = targets_of_cell(amplitude, burst, rates, noise, 2)
+        by_two += cell.delay_rate != 0
+        found = np.sort([one.azimuth_rad for one in cell.targets])
+        np.testing.assert_allclose(np.degrees(found), [middle_deg - 11, middle_deg + 11], atol=2)
+    assert by_one > 3  # or the test would tell nothing
+    assert by_two == 0

@@ -1,0 +1,118 @@
+"""Phases that differ from slot to slot beyond noise, seen on the strongest echo of a burst.
+
+Oscillators turn all paths of a slot by the same phase, in every receiver. It spreads each echo over
+all rates at its own delay, and transmitters that send by turns do not share it: it enters the
+phases between them, by which directions are measured. Noise and other echoes change an echo's
+amplitude as much as its phase, oscillators its phase alone: the difference is theirs. Slow changes,
+which a target's own motion may make and which turns share, do not count.
+
+The errors of rates and directions hold it. Peaks that it may be are no echoes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.burst import DemodulatedBurst
+from hardware.radar.channel_noise import ChannelNoise
+from hardware.radar.measurement import EchoMeasurement, cells_apart, standard_errors
+from hardware.radar.phase_noise import scatter_more
+from hardware.radar.sensitivity import side_lobe
+from hardware.radar.windows import normalised_window
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def phase_variance(echo: EchoMeasurement, burst: DemodulatedBurst) -> float:
+    """Variance in rad^2 of the phases of single slots, if white, beyond noise; 0 where what is
+    seen on the echo may be noise.
+    """
+    turn = _over_the_echo(echo, burst)
+    n_rounds, n_turns = turn.shape
+    size = np.maximum(np.abs(turn), np.finfo(float).tiny)
+    parts = [(part - part.mean(axis=0)).ravel() for part in (np.angle(turn), np.log(size))]
+    number = np.arange(turn.size // 2 + 1)
+    # The mean of each transmitter's slots, its direction, is taken out at multiples of n_rounds.
+    fast = (number >= turn.size / (2 * max(n_turns, 2))) & (number % n_rounds != 0)
+    if not fast.any():
+        return 0.0
+    # Medians: a body of another rate at the same delay is in few of them.
+    of_phase, of_amplitude = (
+        float(np.median(np.abs(np.fft.rfft(part)[fast]) ** 2)) / np.log(2) / turn.size
+        for part in parts
+    )
+    # As many degrees of freedom as the mean of half as many would have.
+    is_seen = scatter_more(of_phase, of_amplitude, int(np.count_nonzero(fast)))
+    return of_phase - of_amplitude if is_seen else 0.0
+
+
+def _over_the_echo(echo: EchoMeasurement, burst: DemodulatedBurst) -> Complex:
+    """What an echo's delay and rate hold in each slot, of all receivers together, over the echo,
+    (n_rounds, n_turns) in the order of time. A window excludes echoes a few range cells away.
+    """
+    wave = burst.waveform
+    delay_s, rate = np.nan_to_num([echo.delay_s, echo.delay_rate])
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    taper = normalised_window("blackmanharris", wave.n_subcarriers)[:, None]
+    cycles = f * (delay_s + rate * t) + wave.carrier_hz * rate * t
+    undone = (taper * np.exp(2j * np.pi * cycles)).astype(burst.channel.dtype)
+    by_slot = np.einsum("cfm,fm->cm", burst.channel, undone)
+    turns = np.unique(burst.tdm_offset_s)
+    own = [by_slot[burst.tdm_offset_s == turn] for turn in turns]
+    level = [one.mean(axis=1).conj() for one in own]
+    sums = [
+        mean @ one / max(float(np.vdot(mean, mean).real), 1e-300)
+        for mean, one in zip(level, own, strict=True)
+    ]
+    return np.stack(sums, axis=1).astype(np.complex128)
+
+
+def with_rate_error(
+    echo: EchoMeasurement, burst: DemodulatedBurst, variance: float
+) -> EchoMeasurement:
+    """An echo whose rate's standard error holds the phases of slots, as if they were white."""
+    if not variance or np.isnan(echo.delay_rate):
+        return echo
+    n_slots = burst.waveform.n_slots * len(np.unique(burst.tdm_offset_s))
+    _, of_phases = standard_errors(burst.waveform, echo.window, n_slots / (2 * variance))
+    return replace(echo, delay_rate_error=float(np.hypot(echo.delay_rate_error, of_phases)))
+
+
+def with_phases_of_turns(
+    noise: ChannelNoise, amplitude: Complex, burst: DemodulatedBurst, variance: float
+) -> ChannelNoise:
+    """Noise of an echo's amplitudes for directions: with the phase that each transmitter's slots
+    have by themselves in the mean.
+
+    Noise is taken as half in phase and half in amplitude: of what is in phase alone, twice counts.
+    """
+    apart = burst.tdm_offset_s[:, None] == burst.tdm_offset_s
+    if not variance or apart.all():
+        return noise
+    of_mean = 2 * variance / burst.waveform.n_slots
+    more = of_mean * apart * amplitude[:, None] * amplitude.conj()
+    return replace(noise, covariance_w=noise.covariance_w + more)
+
+
+def without_spread(
+    echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance: float, false_alarm: float
+) -> list[EchoMeasurement]:
+    """Echoes without those that stronger ones may be, spread over the rates by phases of slots.
+
+    ``echoes``: the strongest first. ``false_alarm``: probability that one is kept.
+    """
+    from scipy.special import gammainccinv
+
+    if not variance:
+        return list(echoes)
+    wave = burst.waveform
+    looks = len(np.unique(burst.tdm_offset_s))
+    most = float(gammainccinv(looks, false_alarm)) / looks * variance / wave.n_slots
+    apart = cells_apart(echoes, echoes, wave)[..., 0]
+    lobe = side_lobe(apart[..., None], np.array([wave.n_subcarriers]))[..., 0]
+    power_w = np.array([echo.power_w for echo in echoes])
+    spread_w = most * np.tril(lobe, -1) @ power_w
+    return [echo for echo, least_w in zip(echoes, spread_w, strict=True) if echo.power_w > least_w]
