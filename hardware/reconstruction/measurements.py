@@ -35,8 +35,9 @@ class Measurements:
     image is smoothed;
     ``most_noise_variance`` the largest that the record allows, at least that of rounding to counts,
     NaN where no two exposures differ by noise or detail alone; ``noise_told`` whether the record
-    tells noise from detail; ``most_level`` the most that the mean of the cells can be, that of all
-    light, the background's with it. An image has one detector, or two when complementary.
+    tells noise from detail; ``most_level`` the most that the mean of the cells can be where no
+    pattern tells it, that of all light, the background's with it. An image has one detector, or
+    two when complementary.
     """
 
     values: Array
@@ -119,13 +120,14 @@ def measurements(record: SpiRecord) -> Measurements:
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
         return Measurements(values, noise, most, np.isfinite(most), level)
     rounding = (2 * record.electrons_per_count) ** 2 / 12
-    if not isinstance(patterns, PatternSet):  # a user's own
+    if isinstance(patterns, OwnPatterns):
         scatter = values.var(axis=0)
         most = np.maximum(scatter, rounding) if len(values) > 1 else np.full_like(scatter, np.nan)
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.minimum(np.maximum(photons, rounding), scatter)
-        level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
+        level = _most_level(np.abs(electrons), patterns)
         return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level)
+    assert isinstance(patterns, PatternSet)  # a scan is `_of_scan`
     finest = finest_patterns(patterns)
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
     most = np.maximum(most_scatter(values, patterns), rounding)
@@ -137,6 +139,29 @@ def measurements(record: SpiRecord) -> Measurements:
     noise = np.minimum(np.maximum(noise, rounding), scatter)
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
     return Measurements(values, noise, most, told, level)
+
+
+def _most_level(light: Array, patterns: OwnPatterns) -> Array:
+    """The most that the mean of the measured cells can be, ``(n_images,)``, where exposures gave
+    ``light`` (n_exposures, n_images) of a reference or a plain set.
+
+    The all-lit reference holds all light. Of a plain set, no cell being less than dark, all
+    exposures together hold a cell as often as patterns light it, and so the sum of the cells at
+    least t times, but for those that are lit less than t times: each of these is at most as bright
+    as the darkest exposure to it. The t that tells most counts.
+    """
+    if patterns.mode == "reference":
+        return np.asarray(light[0] / patterns.n_cells)
+    lit = patterns.lit[:, ~patterns.unmeasured_cells]
+    times = lit.sum(axis=0)
+    if not times.size:
+        return np.asarray(light.max(axis=0))
+    seldom_first = np.argsort(times)
+    share = np.where(lit > 0, lit, np.nan)[:, seldom_first]
+    alone = np.stack([np.nanmin(one[:, None] / share, axis=0) for one in light.T], axis=1)
+    of_seldom = np.cumsum(alone, axis=0) - alone
+    most = of_seldom + light.sum(axis=0) / times[seldom_first][:, None]
+    return np.asarray(most.min(axis=0) / times.size)
 
 
 def _of_scan(record: SpiRecord, scan: RasterScan) -> Measurements:

@@ -190,6 +190,29 @@ def test_plain_patterns_of_equally_many_lit_cells_tell_no_level(method: str) -> 
         assert found.standard_error.max() < 1e4
 
 
+@pytest.mark.parametrize("n_lit", [2, 4, 8, 32])
+def test_the_most_that_an_unknown_level_can_be(n_lit: int) -> None:
+    """All patterns light as many cells. The level stated is at least the largest mean of all images
+    without negative cells that would have given the exposures (by linear programming), and at most
+    twice that; cell 0 is lit once. Twice the brightest exposure over the number of cells, which
+    holds where half of them are lit, is 0.2 times that of two lit cells.
+    """
+    from scipy.optimize import linprog
+
+    rng = np.random.default_rng(n_lit)
+    stack = np.zeros((200, 64))
+    for row in stack[1:]:
+        row[1 + rng.choice(63, n_lit, replace=False)] = 1
+    stack[0, :n_lit] = 1
+    cells = rng.exponential(1e4, 64)
+    patterns = own_patterns(stack.reshape(-1, 8, 8), mode="plain")
+    found = reconstruct(record_of(patterns, cells, background=0.0), "least-squares")
+    light = stack @ cells
+    most = -linprog(-np.ones(64) / 64, A_ub=stack, b_ub=np.ceil(light)).fun
+    assert 0.999 * most < found.level_error_electrons[0] < 2 * most
+    assert (found.standard_error >= found.level_error_electrons[0]).all()
+
+
 @pytest.mark.parametrize("method", ["lmmse", "least-squares"])
 def test_plain_patterns_that_are_all_alike_are_refused(method: str) -> None:
     patterns = own_patterns(np.ones((5, 8, 8), dtype=int), mode="plain")
