@@ -88,9 +88,7 @@ def most_scatter(values: Array, patterns: PatternSet) -> Array:
     finest = _finest_of_noise(patterns)
     if finest.size < 2:
         return np.full(values.shape[1], np.nan)
-    from scipy.special import stdtrit  # takes 0.1 s to import
-
-    few = float(stdtrit(finest.size - 1, 0.975)) / 1.96
+    few = student(finest.size - 1) / 1.96
     return np.asarray(few**2 * values[finest].var(axis=0, ddof=1))
 
 
@@ -113,6 +111,25 @@ def freedom_of_successive(n: int) -> float:
     relative variance is (3 n - 4) / (n - 1)^2.
     """
     return 2 * (n - 1) ** 2 / (3 * n - 4) if n > 1 else 0.0
+
+
+def errors_in_95_of_noise(patterns: Patterns) -> float:
+    """How many standard errors hold 95 % of the errors by noise: Student's, for as many values as
+    told it. The noise of sets that show nothing twice holds that already (`most_scatter`).
+    """
+    paired = patterns.mode in ("differential", "complementary")
+    if isinstance(patterns, RasterScan) or not (paired or isinstance(patterns, OwnPatterns)):
+        return 1.96
+    return student(freedom(patterns))
+
+
+def student(degrees: float) -> float:
+    """Standard errors, found with these degrees of freedom, that hold 95 % of normal errors; 1.96
+    where there are none, of which nothing is told.
+    """
+    from scipy.special import stdtrit  # takes 0.1 s to import
+
+    return max(float(stdtrit(degrees, 0.975)), 1.96) if degrees > 0 else 1.96
 
 
 def errors_of_few(degrees: float) -> float:
