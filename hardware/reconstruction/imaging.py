@@ -194,7 +194,7 @@ def reconstruct(
             of_most = _solved(solve, measured.values, most, sensing)[1]
             error = _of_unsmoothed(error, of_most, measured, sensing)
     if error is not None:
-        error = np.hypot(error, _error_of_the_constant(most, sensing))
+        error = np.hypot(error, _error_of_the_constant(measured.constant_variance, sensing))
     if not sensing.measures_level and error is not None:
         error = np.hypot(error, measured.most_level)
     if error is not None:
@@ -276,7 +276,7 @@ def _error_of_the_constant(variance: Array, sensing: Sensing) -> Array:
     or 0: through the plain inverse all of it meets the cells on which all patterns agree.
 
     Of two references it is half the variance of a value; of plain sets and S-matrices that of the
-    mean of the finest values, in which each of them is itself.
+    mean of the finest values, in which each of them is itself, with the detail that they hold.
     """
     patterns = sensing.patterns
     if not isinstance(patterns, PatternSet) or patterns.mode in ("differential", "complementary"):
