@@ -104,9 +104,9 @@ def reconstruct(
     arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
         typical = _median(reconstruction.standard_error)
-        error = f"{number(typical)} e- (median)" if np.isfinite(typical) else "unknown"
         within = f"about 95 % lie within {number(reconstruction.errors_in_95)} of them"
-        say.line(f"standard error of a cell: {error}; {within}")
+        known = f"{number(typical)} e- (median); {within}"
+        say.line(f"standard error of a cell: {known if np.isfinite(typical) else 'unknown'}")
         figures.append(("standard error of a cell, median", "e-", typical))
         arrays["standard_error"] = reconstruction.standard_error
         arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)

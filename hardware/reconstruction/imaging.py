@@ -23,7 +23,7 @@ from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.negative_light import negative_light
-from hardware.reconstruction.noise import finest_patterns, is_full
+from hardware.reconstruction.noise import errors_in_95_of_noise, finest_patterns, is_full
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
 from hardware.reconstruction.scanning import BACKGROUND_IN_IMAGE, gates_tell_background
@@ -66,8 +66,9 @@ class Reconstruction(Described):
     patterns do not measure (`PatternSet.unmeasured_cells`), of which a warning tells.
     ``standard_error`` is None where the method gives none. Of ``lmmse``, ``zero-fill`` and
     ``least-squares`` it holds noise and what the patterns do not see; about 95 % of the cells lie
-    within ``errors_in_95`` of them in the mean over images, 1.96 where errors are normal
-    (`hardware.reconstruction.standard_error`). ``noise_electrons`` is the noise of one
+    within ``errors_in_95`` of them in the mean over images, 1.96 where errors are normal and many
+    values tell them (`hardware.reconstruction.standard_error`); NaN, of which a warning tells,
+    where the patterns measure a single sum of the cells. ``noise_electrons`` is the noise of one
     measurement, as found in the record itself; NaN where the record does not tell it from detail
     (`hardware.reconstruction.measurements`). Standard errors hold ``most_noise_electrons``, the
     most that it can be; both are NaN, of which a warning tells, where no two exposures show it.
@@ -193,7 +194,7 @@ def reconstruct(
             of_most = _solved(solve, measured.values, most, sensing)[1]
             error = _of_unsmoothed(error, of_most, measured, sensing)
     if error is not None:
-        error = np.hypot(error, _error_of_the_constant(most, sensing))
+        error = np.hypot(error, _error_of_the_constant(measured.constant_variance, sensing))
     if not sensing.measures_level and error is not None:
         error = np.hypot(error, measured.most_level)
     if error is not None:
@@ -203,7 +204,10 @@ def reconstruct(
         method=solve.name,
         image=np.where(told, cells, np.nan).T.reshape(shape),
         standard_error=None if error is None else np.where(told, error, np.nan).T.reshape(shape),
-        errors_in_95=ERRORS_IN_95 if moving else solve.errors_in_95(sensing),
+        errors_in_95=max(
+            ERRORS_IN_95 if moving else solve.errors_in_95(sensing),
+            errors_in_95_of_noise(received.patterns),
+        ),
         noise_electrons=np.sqrt(np.where(measured.noise_told, variance, np.nan)),
         most_noise_electrons=np.sqrt(most),
         level_error_electrons=measured.most_level * (not sensing.measures_level),
@@ -212,6 +216,7 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
+            *_without_detail(error, most),
             *negative_light(received, measured),
             *unequal_arms(received, sensing),
             *told_of_search,
@@ -271,7 +276,7 @@ def _error_of_the_constant(variance: Array, sensing: Sensing) -> Array:
     or 0: through the plain inverse all of it meets the cells on which all patterns agree.
 
     Of two references it is half the variance of a value; of plain sets and S-matrices that of the
-    mean of the finest values, in which each of them is itself.
+    mean of the finest values, in which each of them is itself, with the detail that they hold.
     """
     patterns = sensing.patterns
     if not isinstance(patterns, PatternSet) or patterns.mode in ("differential", "complementary"):
@@ -343,6 +348,15 @@ def _without_scatter(record: SpiRecord, most: Array) -> Iterator[str]:
         yield (
             f"{alike} of {record.counts.shape[1]} detectors gave the same count in every exposure: "
             "no light is told from the rounding of counts"
+        )
+
+
+def _without_detail(error: Array | None, most: Array) -> Iterator[str]:
+    """Where noise is known, but not what is unseen."""
+    if error is not None and (np.isnan(error).all(axis=0) & ~np.isnan(most)).any():
+        yield (
+            "standard errors are unknown: the patterns measure a single sum of the cells, which "
+            "tells nothing of the detail that they do not see"
         )
 
 

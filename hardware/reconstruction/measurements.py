@@ -10,6 +10,7 @@ from hardware.patterns import OwnPatterns, Patterns, PatternSet, RasterScan, fwh
 from hardware.reconstruction.noise import (
     finest_patterns,
     is_full,
+    most_noise,
     most_scatter,
     noise_beside_detail,
     noise_of_sums,
@@ -35,8 +36,10 @@ class Measurements:
     image is smoothed;
     ``most_noise_variance`` the largest that the record allows, at least that of rounding to counts,
     NaN where no two exposures differ by noise or detail alone; ``noise_told`` whether the record
-    tells noise from detail; ``most_level`` the most that the mean of the cells can be, that of all
-    light, the background's with it. An image has one detector, or two when complementary.
+    tells noise from detail; ``most_level`` the most that the mean of the cells can be where no
+    pattern tells it, that of all light, the background's with it; ``constant_variance``
+    that of the values which tell the constant that all share, the references' or the finest ones'
+    with their detail, 0 where there is none. An image has one detector, or two when complementary.
     """
 
     values: Array
@@ -44,6 +47,7 @@ class Measurements:
     most_noise_variance: Array
     noise_told: NDArray[np.bool_]
     most_level: Array
+    constant_variance: Array
 
 
 def with_level(record: SpiRecord) -> SpiRecord:
@@ -94,7 +98,8 @@ def measurements(record: SpiRecord) -> Measurements:
 
     Reference, plain and S-matrix sets show nothing twice. What tells noise from detail is then
     their spectra (`hardware.reconstruction.noise.noise_beside_detail`), and the scatter of the
-    finest patterns is the most that noise can be (`hardware.reconstruction.noise.most_scatter`).
+    finest patterns, or of complete sets that of flat cells, is the most that noise can be
+    (`hardware.reconstruction.noise.most_noise`).
     Scenes may be as flat as noise: a single bright cell, a checkerboard. So a full set, or one
     that lacks an eighth at most, is smoothed only by noise that its photons explain
     (`MOST_OVER_PHOTONS`); what is more stays in the image.
@@ -117,26 +122,52 @@ def measurements(record: SpiRecord) -> Measurements:
         rounding = 2 * record.electrons_per_count**2 / 12
         most = np.maximum(noise, rounding) if len(lit) > 1 else np.full_like(noise, np.nan)
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
-        return Measurements(values, noise, most, np.isfinite(most), level)
+        return Measurements(values, noise, most, np.isfinite(most), level, 0 * most)
     rounding = (2 * record.electrons_per_count) ** 2 / 12
-    if not isinstance(patterns, PatternSet):  # a user's own
+    if isinstance(patterns, OwnPatterns):
         scatter = values.var(axis=0)
         most = np.maximum(scatter, rounding) if len(values) > 1 else np.full_like(scatter, np.nan)
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.minimum(np.maximum(photons, rounding), scatter)
-        level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
-        return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level)
+        level = _most_level(np.abs(electrons), patterns)
+        return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level, 0 * most)
+    assert isinstance(patterns, PatternSet)  # a scan is `_of_scan`
     finest = finest_patterns(patterns)
     scatter = values[finest].var(axis=0) if finest.size else np.zeros(values.shape[1])
-    most = np.maximum(most_scatter(values, patterns), rounding)
+    of_finest = np.maximum(most_scatter(values, patterns), rounding)
     noise = noise_beside_detail(values, patterns)
     if full := is_full(patterns.count, patterns.n_cells):
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
-    told = (noise > 0) & np.isfinite(most) & full
+    told = (noise > 0) & np.isfinite(of_finest) & full
     noise = np.minimum(np.maximum(noise, rounding), scatter)
+    most = np.maximum(most_noise(values, patterns), np.where(told, noise, rounding))
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
-    return Measurements(values, noise, most, told, level)
+    of_constant = most if patterns.mode == "reference" else of_finest
+    return Measurements(values, noise, most, told, level, of_constant)
+
+
+def _most_level(light: Array, patterns: OwnPatterns) -> Array:
+    """The most that the mean of the measured cells can be, ``(n_images,)``, where exposures gave
+    ``light`` (n_exposures, n_images) of a reference or a plain set.
+
+    The all-lit reference holds all light. Of a plain set, no cell being less than dark, all
+    exposures together hold a cell as often as patterns light it, and so the sum of the cells at
+    least t times, but for those that are lit less than t times: each of these is at most as bright
+    as the darkest exposure to it. The t that tells most counts.
+    """
+    if patterns.mode == "reference":
+        return np.asarray(light[0] / patterns.n_cells)
+    lit = patterns.lit[:, ~patterns.unmeasured_cells]
+    times = lit.sum(axis=0)
+    if not times.size:
+        return np.asarray(light.max(axis=0))
+    seldom_first = np.argsort(times)
+    share = np.where(lit > 0, lit, np.nan)[:, seldom_first]
+    alone = np.stack([np.nanmin(one[:, None] / share, axis=0) for one in light.T], axis=1)
+    of_seldom = np.cumsum(alone, axis=0) - alone
+    most = of_seldom + light.sum(axis=0) / times[seldom_first][:, None]
+    return np.asarray(most.min(axis=0) / times.size)
 
 
 def _of_scan(record: SpiRecord, scan: RasterScan) -> Measurements:
@@ -151,7 +182,7 @@ def _of_scan(record: SpiRecord, scan: RasterScan) -> Measurements:
     noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
     told = (noise > 0) & np.isfinite(most)
     noise = np.minimum(np.maximum(noise, rounding), scatter)
-    return Measurements(values, noise, most, told, np.abs(cells).max(axis=0))
+    return Measurements(values, noise, most, told, np.abs(cells).max(axis=0), 0 * most)
 
 
 def measured_values(electrons: Array, patterns: Patterns) -> Array:

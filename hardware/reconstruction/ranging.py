@@ -22,6 +22,8 @@ from hardware.patterns import RasterScan
 from hardware.reconstruction.depth import C_M_PER_S, depth
 from hardware.reconstruction.gating import Echo, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
+from hardware.reconstruction.measurements import measurements, with_level
+from hardware.reconstruction.negative_light import negative_light
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Method, Solve
 from hardware.reconstruction.scanning import gates_tell_background, images_by_shutter
@@ -95,8 +97,16 @@ def range_image(
     if modulated:
         list(_phase_systems(record.shutters))  # refuses what no image could mend
     if isinstance(record.patterns, RasterScan) and mixing is None:
-        return _of_scan(record.received)
-    solve = method_of(method)
+        ranges = _of_scan(record.received)
+    else:
+        ranges = _of_patterns(record, method_of(method), mixing)
+    received = with_level(record.received)
+    told = negative_light(received, measurements(received))
+    return replace(ranges, warnings=(*ranges.warnings, *told))
+
+
+def _of_patterns(record: SpiRecord, solve: Method, mixing: Mixing | None) -> RangeImage:
+    """From the image of each shutter."""
     by_shutter = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
     images = np.stack([one.image for one in by_shutter])
     errors = np.stack([_error(one, record.patterns.count) for one in by_shutter])

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from hardware.patterns import RasterScan
 from hardware.reconstruction.gating import Echo, echo
+from hardware.reconstruction.noise import NORMAL_MAD
 from hardware.records import SpiRecord
 
 Array = NDArray[np.float64]
 
-#: Median absolute deviation of normal numbers over their standard deviation.
-_MAD = 0.67448975
 #: Fewer gates than this do not tell an echo from the background.
 _LEAST_GATES = 4
 #: Confidence below which the gates of a cell do not hold one echo, and errors of a gate by which it
@@ -47,11 +46,13 @@ def images_by_shutter(record: SpiRecord) -> tuple[Array, Array]:
         quiet = np.diff(dark, axis=-1) / np.sqrt(2)
         floor = np.median(np.abs(quiet), axis=-1, keepdims=True) if quiet.size else 0.0
         found = lit - dark
-        variance = 2 * np.maximum((floor / _MAD) ** 2, step_variance) + np.maximum(found, 0)
+        variance = 2 * np.maximum((floor / NORMAL_MAD) ** 2, step_variance) + np.maximum(found, 0)
     else:
         found = electrons
         middle = np.median(found, axis=0, keepdims=True)
-        floor = np.median(np.abs(found - middle)) / _MAD if len(found) >= _LEAST_GATES else 0.0
+        floor = (
+            np.median(np.abs(found - middle)) / NORMAL_MAD if len(found) >= _LEAST_GATES else 0.0
+        )
         beyond = np.maximum(found - np.median(middle), 0) if len(found) >= _LEAST_GATES else found
         variance = np.maximum(floor**2, step_variance) + np.maximum(beyond, 0)
     whole = np.full((2, *found.shape[:-1], scan.n_cells), np.nan)

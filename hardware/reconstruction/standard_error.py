@@ -28,6 +28,9 @@ and so do those with lost patterns. Where pictures are as rich at their finest a
 first 600 to 800 hold 90 to 95 %, the first half 87 to 94 %. The plain inverse: 90 to 99 %. Of
 random patterns of a user's own, 16 x 16, 32 to 255 of 256: 94 to 99 %, least squares 94 to 100 %.
 
+Of independent patterns fewer than about ten, the scale of what is unseen is told by so few values
+that Student's quantile of them takes the place of `errors_in_95`; of a single one none is told.
+
 A single picture may be off by much more, as detail that is nowhere in the patterns shown is not
 foreseen: with one lost pattern and no noise all cells of 6 % of the images lie outside.
 """
@@ -38,6 +41,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.reconstruction.noise import student
 from hardware.reconstruction.prior import prior_scale, walsh_variance
 from hardware.reconstruction.sensing import Sensing
 from hardware.reconstruction.unseen import unseen_of
@@ -48,6 +52,9 @@ Array = NDArray[np.float64]
 _EVEN = 0.05
 #: Factor on the error of detail beyond what was seen: pictures are smoother there than the prior.
 _SMOOTHER = 0.71
+
+#: Variance within blocks over the mean square below which it is roundoff of their difference.
+_ROUNDOFF = 1e-12
 
 
 def detail_scale(
@@ -95,9 +102,17 @@ def unseen_detail(
     )
     far = float(unseen.weight[~within].sum()) * detail_scale(*data)
     nearness = 1 - min(2 * unseen.count / sensing.n_cells, 1.0) ** 2
-    near = (near + nearness * far) * (calibration(sensing.count) / _SMOOTHER) ** 2
-    far *= (1 - nearness) * calibration(sensing.count) ** 2
+    near = (near + nearness * far) * (calibration(sensing) / _SMOOTHER) ** 2
+    far *= (1 - nearness) * calibration(sensing) ** 2
     return each * (far * stands + near * unseen.spread(stands))
+
+
+def tells_detail(sensing: Sensing) -> bool:
+    """Whether it is known how large unseen detail is: not where one sum of the cells is all that is
+    measured, as of a single pattern, however often it is shown.
+    """
+    unseen = unseen_of(sensing)
+    return unseen.count == 0 or unseen.told > 0
 
 
 def structure(values: Array, sensing: Sensing) -> tuple[Array, Array]:
@@ -123,6 +138,8 @@ def error_of_plain_inverse(
     count, expected = int(np.count_nonzero(told)), float(variance.sum())
     scale = prior_scale(energy, count, noise_variance, expected)
     unseen = unseen_of(sensing)
+    if not tells_detail(sensing):
+        return np.full(cells.size, np.nan)
     if unseen.count == 0 or scale == 0:
         return np.sqrt(noise)
     stands, ratio = activity(cells, sensing), noise_variance / scale
@@ -133,9 +150,10 @@ def error_of_plain_inverse(
 def activity(cells: Array, sensing: Sensing) -> Array:
     """Where unseen detail stands, ``(n_cells,)`` of mean 1: as the variance within blocks.
 
-    A block is about twice as high and wide as what ``count`` patterns resolve.
+    A block is about twice as high and wide as what independent patterns resolve.
     """
-    high, wide = (_block(side, sensing.count) for side in sensing.shape)
+    count = _resolved(sensing)
+    high, wide = (_block(side, count) for side in sensing.shape)
     strips, ones = cells.reshape(-1, wide), np.ones(wide)
     grid = (sensing.shape[0] // high, high, sensing.shape[1] // wide)
     mean, square = (
@@ -143,7 +161,7 @@ def activity(cells: Array, sensing: Sensing) -> Array:
     )
     variance = np.maximum(square - mean**2, 0.0)
     total = float(variance.mean())
-    if total == 0:
+    if total <= _ROUNDOFF * float(square.mean()):
         return np.ones(cells.size)
     share = _EVEN + (1 - _EVEN) / total * variance
     return share.repeat(high, 0).repeat(wide, 1).ravel()
@@ -157,21 +175,28 @@ def _block(side: int, count: int) -> int:
     return min(divisors, key=lambda n: abs(math.log(n / wanted)))
 
 
-def calibration(count: int) -> float:
+def _resolved(sensing: Sensing) -> int:
+    """Independent patterns: those that are shown again, or are sums of others, tell no detail."""
+    return max(unseen_of(sensing).told + sensing.measures_level, 1)
+
+
+def calibration(sensing: Sensing) -> float:
     """Factor on the error of detail beyond, with which 68 and 95 % of all cells lie within 1 and
     1.96.
 
     Pictures are smoother at their finest than the prior, and their errors less normal; few
     patterns tell less of the scale.
     """
-    return _SMOOTHER * (1 + 1.6 / np.sqrt(count))
+    return _SMOOTHER * (1 + 1.6 / math.sqrt(_resolved(sensing)))
 
 
 def errors_in_95(sensing: Sensing) -> float:
     """How many standard errors hold 95 % of all cells: the more the farther unseen detail is from
-    the finest that was seen, from whose scale its own is taken; 1.96 where only noise is left.
+    the finest that was seen, from whose scale its own is taken, and no fewer than Student's for a
+    scale of as many values as tell detail; 1.96 where only noise is left.
     """
-    unseen = unseen_of(sensing).count
-    if unseen == 0:
+    unseen = unseen_of(sensing)
+    if unseen.count == 0:
         return 1.96
-    return 2 + math.log2(sensing.n_cells / max(sensing.n_cells - unseen, 1)) / 4
+    farther = math.log2(sensing.n_cells / max(sensing.n_cells - unseen.count, 1)) / 4
+    return max(2 + farther, student(unseen.told))

@@ -70,14 +70,16 @@ def _slope(sums: Array, differences: Array, least_variance: float) -> tuple[Arra
     """
     of_sums, steps = np.diff(sums, axis=0), np.diff(differences, axis=0)
     squares = (steps**2).sum(axis=0)
-    some = np.maximum(squares, np.finfo(float).tiny)
+    some = np.where(squares > 0, squares, np.inf)
     slope = (steps * of_sums).sum(axis=0) / some
     rest = noise_of_sums(sums - slope * differences, in_turn=False)
     variance = np.maximum(rest, least_variance)
     weight = np.diff(steps, axis=0, prepend=0.0, append=0.0)  # of each sum in the slope
     error = np.sqrt(variance * (weight**2).sum(axis=0)) / some
     far = errors_of_few(freedom_of_successive(len(sums)) - 1)
-    return slope, error, far * error + (of_sums**2).sum(axis=0) / some
+    least = far * error + (of_sums**2).sum(axis=0) / some
+    told = squares > 0  # where all differences are alike, no slope is
+    return slope, np.where(told, error, np.inf), np.where(told, least, np.inf)
 
 
 def _in_cells(added: float, sensing: Sensing) -> str:

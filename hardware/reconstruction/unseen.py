@@ -29,7 +29,8 @@ _FINEST = 1 / 8
 class Unseen:
     """What is unseen, for a prior of scale 1.
 
-    ``count`` dimensions, the mean not among them. ``typical`` (k,) are the prior variances of
+    ``count`` dimensions, the mean not among them; ``told`` are those of detail that are seen.
+    ``typical`` (k,) are the prior variances of
     unseen measurements, in bins with shares ``weight`` (k,) of all unseen variance; ``finest`` is
     that below which the finest eighth of what is seen lies. ``variance``
     (n_cells,) is that of each cell of P x. ``kernel`` is the transform of what cells q add to the
@@ -38,6 +39,7 @@ class Unseen:
     """
 
     count: int
+    told: int
     typical: Array
     weight: Array
     finest: float
@@ -74,7 +76,8 @@ def _of_hadamard_rows(sensing: Sensing) -> Unseen:
     shown = variance[sensing.indices]
     finest = float(np.quantile(shown[shown > 0], _FINEST)) if shown.any() else np.inf
     local = np.full(n, rows.size / n)
-    return Unseen(rows.size, *_binned(variance[rows]), finest, cells, kernel, local)
+    told = n - 1 - rows.size
+    return Unseen(rows.size, told, *_binned(variance[rows]), finest, cells, kernel, local)
 
 
 def _binned(variance: Array) -> tuple[Array, Array]:
@@ -97,9 +100,10 @@ def _of_matrix(sensing: Sensing) -> Unseen:
         raise InputError("patterns: all alike, so that plain exposures tell nothing of the image")
     seen = vt[size > 1e-9 * size[0]].T
     count, n = sensing.n_cells - seen.shape[1], sensing.n_cells
+    told = seen.shape[1] - sensing.measures_level
     if count == 0:
         none = np.zeros(0)
-        return Unseen(0, none, none, 0.0, np.zeros(n), None, np.zeros(n))
+        return Unseen(0, told, none, none, 0.0, np.zeros(n), None, np.zeros(n))
     covariance = filtered(seen, prior_spectrum(*sensing.shape))
     between = seen.T @ covariance
     cells = cell_variance(*sensing.shape) - 2 * np.einsum("ij,ij->i", seen, covariance)
@@ -108,4 +112,4 @@ def _of_matrix(sensing: Sensing) -> Unseen:
     typical = np.array([cells.sum() / count])  # of a direction of unit length, as the next
     finest = float(np.quantile(np.linalg.eigvalsh(between), _FINEST))
     gain = float(np.mean(size[: seen.shape[1]] ** 2))
-    return Unseen(count, gain * typical, np.ones(1), gain * finest, cells, None, local)
+    return Unseen(count, told, gain * typical, np.ones(1), gain * finest, cells, None, local)

@@ -12,7 +12,7 @@ from spi_records import record_of, scene
 
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.patterns import Patterns, RasterScan, own_patterns
-from hardware.reconstruction import measurements
+from hardware.reconstruction import measurements, range_image
 from hardware.reconstruction.noise import errors_of_few, freedom, freedom_of_successive
 from hardware.reconstruction.unequal_arms import _slope
 from hardware.records import Shutter
@@ -72,6 +72,30 @@ def test_images_between_whole_sets_tell_it_too() -> None:
     patterns = PatternSet(8, 8, 64)
     record = record_of(1e6 - exposed(patterns), patterns)
     assert any(LESS_THAN_NONE in w for w in SlidingImages(8).update("/camera", record).warnings)
+
+
+@pytest.mark.parametrize(
+    "patterns", [PatternSet(8, 8, 64), RasterScan(8, 8, "differential")], ids=str
+)
+def test_range_images_tell_it_too(patterns: Patterns) -> None:
+    """Of gates, in the words of the image of all of them; upright it is not told."""
+    lit = exposed(patterns)
+    electrons = np.stack([0.2 * lit, lit, 0.3 * lit], axis=1).reshape(-1, 1)
+    gates = tuple(Shutter(gate_delay_s=d, gate_width_s=2e-8) for d in (1e-7, 1.2e-7, 1.4e-7))
+    for counts, expected in ((electrons, False), (1e6 - electrons, True)):
+        n = len(counts)
+        record = replace(
+            record_of(lit, patterns),
+            counts=np.rint(counts).astype(np.int32),
+            device_time_ns=np.arange(n, dtype=np.int64),
+            sequence=np.arange(n, dtype=np.uint32),
+            flags=np.zeros(n, np.uint8),
+            shutters=gates,
+            pulse_width_s=1e-8,
+        )
+        warnings = [w for w in range_image(record).warnings if LESS_THAN_NONE in w]
+        assert bool(warnings) == expected
+        assert set(warnings) <= set(reconstruct(record).warnings)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -142,6 +166,15 @@ def test_equal_arms_are_not_told() -> None:
         flagged,
     ):
         assert not told(record, UNEQUAL)
+
+
+def test_differences_that_are_all_alike_tell_no_slope() -> None:
+    """Sums that scatter beside them: its error is infinite, and dividing does not overflow."""
+    sums, differences = 1e7 * np.random.default_rng(5).normal(size=(8, 2)), np.zeros((8, 2))
+    differences[:, 1] = np.arange(8) % 2
+    slope, error, least = _slope(sums, differences, 1 / 6)
+    assert (slope[0], error[0], least[0]) == (0.0, np.inf, np.inf)
+    assert np.isfinite([slope[1], error[1], least[1]]).all()
 
 
 @pytest.mark.parametrize("count", [4, 16, 64])

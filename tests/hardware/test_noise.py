@@ -131,6 +131,22 @@ def test_an_image_that_is_not_smoothed_has_all_of_its_noise_in_its_error(mode: A
     assert np.mean(np.abs(within) < 1.96) > 0.93
 
 
+@pytest.mark.parametrize("mode", ["differential", "complementary"])
+@pytest.mark.parametrize(("rows", "columns"), [(1, 2), (2, 2), (2, 4), (4, 8)])
+def test_errors_of_as_few_pairs_as_cells_hold(mode: Any, rows: int, columns: int) -> None:
+    """600 records: 92 to 98 % of the cells within `errors_in_95`. 1.96 standard errors, as if many
+    pairs had told the noise, hold 67 % of two cells, 79 % of four and 89 % of eight.
+    """
+    patterns, rng = PatternSet(rows, columns, rows * columns, mode=mode), np.random.default_rng(3)
+    within = []
+    for seed in range(600):
+        cells = rng.uniform(0, 1e4, (rows, columns))
+        found = reconstruct(noisy(patterns, cells, 50.0, seed), "zero-fill")
+        assert found.standard_error is not None
+        within.append(np.abs(found.image - cells) < found.errors_in_95 * found.standard_error)
+    assert 0.92 < np.mean(within) < 0.98
+
+
 @pytest.mark.parametrize(("mode", "why"), [("s-matrix", "no pattern"), ("plain", "every pattern")])
 def test_cells_on_which_all_patterns_agree_have_no_value(mode: Any, why: str) -> None:
     """Counted on the patterns themselves: one cell of a full set, a block of a coarse one."""

@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from ugv_command import ugv
 
 from hardware import (
     InputError,
@@ -188,6 +189,58 @@ def test_plain_patterns_of_equally_many_lit_cells_tell_no_level(method: str) -> 
     assert any("its mean is set to 0" in warning for warning in found.warnings)
     if found.standard_error is not None:
         assert found.standard_error.max() < 1e4
+
+
+@pytest.mark.parametrize("n_lit", [2, 4, 8, 32])
+def test_the_most_that_an_unknown_level_can_be(n_lit: int) -> None:
+    """All patterns light as many cells. The level stated is at least the largest mean of all images
+    without negative cells that would have given the exposures (by linear programming), and at most
+    twice that; cell 0 is lit once. Twice the brightest exposure over the number of cells, which
+    holds where half of them are lit, is 0.2 times that of two lit cells.
+    """
+    from scipy.optimize import linprog
+
+    rng = np.random.default_rng(n_lit)
+    stack = np.zeros((200, 64))
+    for row in stack[1:]:
+        row[1 + rng.choice(63, n_lit, replace=False)] = 1
+    stack[0, :n_lit] = 1
+    cells = rng.exponential(1e4, 64)
+    patterns = own_patterns(stack.reshape(-1, 8, 8), mode="plain")
+    found = reconstruct(record_of(patterns, cells, background=0.0), "least-squares")
+    light = stack @ cells
+    most = -linprog(-np.ones(64) / 64, A_ub=stack, b_ub=np.ceil(light)).fun
+    assert 0.999 * most < found.level_error_electrons[0] < 2 * most
+    assert (found.standard_error >= found.level_error_electrons[0]).all()
+
+
+@pytest.mark.parametrize("method", ["lmmse", "least-squares"])
+@pytest.mark.parametrize("mode", ["differential", "complementary", "reference"])
+@pytest.mark.parametrize("lit", ["all", "none", "some"])
+def test_a_single_sum_of_the_cells_tells_no_errors(method: str, mode: str, lit: str) -> None:
+    """One pattern, shown 20 times: nothing tells how large the detail is that it does not see.
+    1e16 had been stated of all cells lit, and noise alone of some, 2000 times too small.
+    """
+    rng = np.random.default_rng(3)
+    cells = rng.uniform(0, 1e4, 64)
+    one = np.full(64, float(lit == "all")) if lit != "some" else np.arange(64) % 3 == 0
+    stack = np.tile(one.reshape(8, 8).astype(float), (20, 1, 1))
+    record = record_of(own_patterns(stack, mode=mode), cells, noise=30.0)
+    found = reconstruct(record, method)
+    assert np.isnan(found.standard_error).all()
+    assert any("a single sum of the cells" in warning for warning in found.warnings)
+    assert np.abs(found.image).max() < 3 * cells.mean()
+    if lit != "some":
+        np.testing.assert_allclose(found.image, cells.mean(), rtol=0.01)
+
+
+def test_the_command_says_that_errors_are_unknown(tmp_path: Path) -> None:
+    """Without a share of cells within them."""
+    record = record_of(own_patterns(np.ones((5, 8, 8))), np.full(64, 1e3), noise=30.0)
+    write_record(record, tmp_path / "record.h5")
+    done = ugv("reconstruct", tmp_path / "record.h5")
+    assert "standard error of a cell: unknown\n" in done.stdout
+    assert "a single sum of the cells" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("method", ["lmmse", "least-squares"])

@@ -34,6 +34,7 @@ from hardware.reconstruction.standard_error import (
     detail_scale,
     errors_in_95,
     structure,
+    tells_detail,
     unseen_detail,
 )
 from hardware.reconstruction.walsh_blocks import WalshBlocks
@@ -54,8 +55,8 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     plan = lmmse_plan(sensing)
     scale = plan.scale(values, noise_variance)
     if scale == 0:  # no structure is measured, or nothing but a flat image without noise
-        noise = np.full(sensing.n_cells, noise_variance * plan.noise_of_flat)
-        return plan.flat(values), np.sqrt(noise, out=noise)
+        noise = noise_variance * plan.noise_of_flat if tells_detail(sensing) else np.nan
+        return plan.flat(values), np.full(sensing.n_cells, np.sqrt(noise))
     ratio = noise_variance / scale
     cells = plan.image(values, ratio)
     by_detail, by_noise = plan.errors(ratio)
@@ -64,7 +65,7 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     error = np.maximum(by_detail - unseen, 0.0)  # what smoothing takes of that which is seen
     error *= stands
     finest = detail_scale(*independent, noise_variance, ratio)
-    error *= finest * calibration(sensing.count) ** 2
+    error *= finest * calibration(sensing) ** 2
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
     error += noise_variance * by_noise
     return cells, np.sqrt(error, out=error)
@@ -294,7 +295,9 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
     flat = sensing.of_flat
     without = _without(flat, _without(flat, gram).T)
     variances, independent = np.linalg.eigh((without + without.T) / 2)
-    told = variances > _NULL * max(float(variances[-1]), float(np.finfo(float).tiny))
+    # Where a flat image explains all, nothing is left but roundoff of what was subtracted.
+    roundoff = _NULL**2 * sensing.largest_squared * float(spectrum.max())
+    told = variances > max(_NULL * float(variances[-1]), roundoff)
     trace = float(np.trace(gram))
     return MixedPlan(
         eigenvectors=eigenvectors,
