@@ -1,6 +1,7 @@
 """The virtual devices of ``twin serve``, each behind its protocol."""
 
 import ipaddress
+import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from twin.serve.sweeps import RadarSweep, RadarSweeps
 from twin.serve.world import SharedWorld
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -175,12 +178,21 @@ def serve_camera(
     if settings is not None:
         write_settings(settings_of(design), settings)
     if moves(scene) or scene.sun.moves:
+        ahead = FramesOfRuns(scene, design, seed, fidelity)
         MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
-        ahead = FramesOfRuns()
+        ahead.wait()
 
         def records(asked: System) -> Iterator[SpiRecord]:
-            now = scene.after(world.begin()) if world else scene
-            return ahead(MovingFrames(now, asked, seed, fidelity))
+            begins_s = world.begin() if world else 0.0
+            scene.after(begins_s)  # refused now where its trajectories have ended
+            frames = ahead(asked, begins_s)
+            if frames.begins_s < begins_s:
+                _log.warning(
+                    "%s: goes on with the frames of the run before, of which none came: they show "
+                    "the world of %.3g s ago",
+                    *(design.name, begins_s - frames.begins_s),
+                )
+            return frames
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
