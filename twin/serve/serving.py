@@ -77,12 +77,13 @@ def check_ports(camera: Address, radio: Address) -> None:
 
 @dataclass(frozen=True)
 class ServedDevice:
-    """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
+    """A device that can be reached at a URL after ``listen``; ``run`` serves it until ``stop``."""
 
     name: str
     url: str
     run: Callable[[], None]
     stop: Callable[[], None]
+    listen: Callable[[], None] = lambda: None
 
 
 def serve_radar(
@@ -200,7 +201,9 @@ def serve_camera(
             return stills(scene, asked, seed=seed, fidelity=fidelity, lit=light)
 
     clock = DeviceClock(pace, fault_chances.drift)
-    line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
+    line: Line = (
+        Terminal() if address is None else TcpPort(address.host, address.port, at_once=False)
+    )
     server = CameraServer(
         lambda send, overrun: VirtualCamera(
             design,
@@ -215,7 +218,7 @@ def serve_camera(
         faults=fault_chances,
         seed=seed,
     )
-    return ServedDevice(f"twin: {design.name}", line.url, server.run, server.stop)
+    return ServedDevice(f"twin: {design.name}", line.url, server.run, server.stop, line.listen)
 
 
 def run(devices: Sequence[ServedDevice]) -> None:
