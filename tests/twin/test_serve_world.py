@@ -68,7 +68,7 @@ def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch, caplo
     given = {}
 
     class Camera:
-        url, run, stop = "tcp://127.0.0.1:1", None, None
+        url, run, stop, listen = "tcp://127.0.0.1:1", None, None, None
 
         def __init__(self, camera, line, **_: object) -> None:
             given["camera"] = camera
