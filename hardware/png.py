@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
+from hardware.files import whole_file
 
 _LEAST_SIDE = 512  # pixels: smaller pictures are enlarged, cell by cell
 
@@ -38,9 +39,12 @@ def expect_png(path: Path) -> None:
 def write_grey(path: Path, level: NDArray[np.floating[Any]]) -> None:
     """Levels from 0, black, to 1, white; row 0 on top.
 
-    Raises InputError as `expect_png`.
+    Whole or not at all. Raises InputError as `expect_png`; OSError, with the file, where it cannot
+    be written.
     """
     expect_png(path)
     from PIL import Image
 
-    Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8)).save(path)
+    picture = Image.fromarray((255 * np.clip(level, 0, 1)).round().astype(np.uint8))
+    with whole_file(path) as partial:
+        picture.save(partial, format="PNG")

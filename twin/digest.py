@@ -25,6 +25,9 @@ _WORDS = {
     "path",
     "unknown_materials",
 }
+#: Characters of a digest that tell one content from another.
+_START = 12
+_FEW = 4
 _ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
 
 
@@ -39,6 +42,14 @@ def digest(*content: Any) -> str:
     for piece in _pieces(content):
         found.update(piece)
     return found.hexdigest()
+
+
+def parts(content: Any) -> dict[str, Any]:
+    """What counts in the digest of a dataclass or a model, but for its name, by dotted name:
+    numbers, few of them together and words as they are, all else, and each of several things with
+    names, by the start of its own digest.
+    """
+    return {path: part for path, part in _parts("", "", content) if path != "name"}
 
 
 def file_digest(path: Path) -> str:
@@ -79,15 +90,10 @@ def _pieces(value: Any) -> Iterator[bytes]:
         yield from _pieces(value.as_matrix())
     elif isinstance(value, Path):
         yield b"path"
-    elif isinstance(value, Mapping):
-        yield from _named("mapping", {str(k): v for k, v in value.items()})
-    elif is_dataclass(value):
+    elif (content := _fields(value)) is not None:
         yield from _named(
-            type(value).__name__, {f.name: getattr(value, f.name) for f in fields(value)}
+            "mapping" if isinstance(value, Mapping) else type(value).__name__, content
         )
-    elif hasattr(type(value), "model_fields"):
-        names = type(value).model_fields
-        yield from _named(type(value).__name__, {name: getattr(value, name) for name in names})
     elif callable(value):
         yield digest_of_given(value).encode()
     elif isinstance(value, Sequence) and not isinstance(value, str):
@@ -98,9 +104,41 @@ def _pieces(value: Any) -> Iterator[bytes]:
         yield f"{type(value).__name__} {value!r};".encode()
 
 
-def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
+def _parts(path: str, name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    plain = getattr(value, "value", value)
+    is_several = isinstance(plain, Sequence) and not isinstance(plain, str)
+    if is_several and plain and all(hasattr(item, "name") for item in plain):
+        for item in plain:
+            yield f"{path}.{item.name}", digest(item)[:_START]
+    elif plain is value and not hasattr(type(value), "as_matrix") and _fields(value):
+        for key, part in _counting(_fields(value) or {}).items():
+            yield from _parts(f"{path}.{key}".lstrip("."), key, part)
+    elif isinstance(plain, int | float | str) and not name.endswith(("_csv", "_file")):
+        yield path, plain
+    elif is_several and len(plain) <= _FEW and all(isinstance(n, int | float) for n in plain):
+        yield path, list(plain)
+    else:
+        yield path, digest({name: value})[:_START]
+
+
+def _fields(value: Any) -> dict[str, Any] | None:
+    """Of a mapping, a dataclass or a model; None of all else."""
+    if isinstance(value, Mapping):
+        return {str(k): v for k, v in value.items()}
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name) for f in fields(value)}
+    if hasattr(type(value), "model_fields"):
+        return {name: getattr(value, name) for name in type(value).model_fields}
+    return None
+
+
+def _counting(content: dict[str, Any]) -> dict[str, Any]:
     # What is not there does not count: a new optional part leaves what was made before valid.
-    told = {n: content[n] for n in sorted(content) if n not in _WORDS and content[n] is not None}
+    return {n: content[n] for n in sorted(content) if n not in _WORDS and content[n] is not None}
+
+
+def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
+    told = _counting(content)
     yield f"{kind}{len(told)}".encode()
     for name, value in told.items():
         yield f"{name}=".encode()

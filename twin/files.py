@@ -105,9 +105,11 @@ def locked(out: Path, work: str) -> Iterator[None]:
 
     The lock is on a file beside the folder, which need not exist yet, and ends with the process
     that holds it, however that ends. Raises InputError, which says who holds it (the package
-    `filelock` does not know), where another does, and where ``out`` can't be written. What a file
-    system can't lock is used with a warning.
+    `filelock` does not know), where another does, and where ``out`` can't be written; OSError, with
+    ``out``, where the disk is full. What a file system can't lock is used with a warning.
     """
+    from hardware.files import naming
+
     out = Path(out).resolve()
     path = out.parent / f".{out.name}.lock"
     try:
@@ -122,10 +124,11 @@ def locked(out: Path, work: str) -> Iterator[None]:
         yield
         return
     with file:
-        now = time.strftime("%Y-%m-%d %H:%M:%S")
-        file.write(f"process {os.getpid()} on {platform.node()}, since {now}")
-        file.flush()
         try:
+            now = time.strftime("%Y-%m-%d %H:%M:%S")
+            holder = f"process {os.getpid()} on {platform.node()}, since {now}"
+            with naming(out):
+                os.write(file.fileno(), holder.encode())  # what a full disk leaves is not kept
             yield
         finally:
             path.unlink(missing_ok=True)  # still locked: who opened it meanwhile finds it gone

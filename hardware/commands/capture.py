@@ -13,6 +13,7 @@ from hardware.commands.quantities import quantity_of
 from hardware.commands.records import (
     RadarSetup,
     Settings,
+    end_early,
     flag_counts,
     log_of,
     settings_of,
@@ -56,7 +57,7 @@ def capture(
     records: Annotated[int, typer.Option(min=0, help="So many records; 0: no limit.")] = 0,
 ) -> None:
     """Record the data of sensors. Exit status 1: everything received was recorded, but a log among
-    the sources is damaged.
+    the sources is damaged, or a signal came before the --records or the --duration asked for.
     """
     from hardware.capture import capture as run
     from hardware.files import read_toml
@@ -114,6 +115,10 @@ def capture(
             "(schedule: step_period_s, lead_s), or serve a virtual radio with --pace fast"
         )
     warn_of_damage(say, {log_of(url): ending for url, ending in endings.items()})
+    if over.is_set() and n.total() < records:
+        end_early(say, f"{n.total()} of {records} records")
+    if over.is_set() and not records and took_s < duration < math.inf:
+        end_early(say, f"{took_s:.3g} of {duration:g} s")
 
 
 def _counted(record: "Record") -> dict[str, int]:

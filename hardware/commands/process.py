@@ -18,6 +18,7 @@ from hardware.commands.records import (
     RadarSetup,
     Settings,
     calibration_of,
+    end_early,
     fault_in_brackets,
     is_log,
     log_of,
@@ -138,6 +139,8 @@ def process(
     say.add(source=source, records=processed.n, results=processed.results)
     say.written(target)
     warn_of_damage(say, {log_of(source): ending})
+    if over.is_set() and processed.n + processed.n_failed < records:
+        end_early(say, f"{processed.n + processed.n_failed} of {records} records")
 
 
 def _beside(source: str) -> Path:

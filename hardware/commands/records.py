@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Exit status of a command that succeeded on the intact part of a damaged log.
 DATA_LOST = 1
+#: Exit status of a command that a signal ended before what was asked for had come.
+STOPPED_EARLY = 1
 Settings = Annotated[
     Path | None, typer.Option("--settings", help="TOML file: patterns and times of a camera.")
 ]
@@ -103,3 +105,9 @@ def warn_of_damage(say: Output, endings: "Mapping[str | Path, Ending]") -> None:
             say.warn(f"{path}: {ending.advice(path)}", is_loss=bool(ending.lost))
     if any(ending.lost for ending in endings.values()):
         raise typer.Exit(DATA_LOST)
+
+
+def end_early(say: Output, reached: str) -> NoReturn:
+    """Warn that a signal ended the command before its limit; exit with `STOPPED_EARLY`."""
+    say.warn(f"stopped by a signal after {reached}", is_loss=True)
+    raise typer.Exit(STOPPED_EARLY)

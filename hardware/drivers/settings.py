@@ -1,5 +1,6 @@
 """Settings of a camera's measurement, and the TOML file that holds them."""
 
+import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -122,8 +123,10 @@ def write_settings(settings: SpiSettings, path: str | Path) -> None:
     path, shown = Path(path), settings.patterns
     if isinstance(shown, OwnPatterns):
         beside = path.with_name(f"{path.stem}-patterns.npy")
-        with whole_file(beside) as partial, partial.open("wb") as file:
-            np.save(file, np.uint8(shown.levels > 0))
+        table_file = io.BytesIO()  # written to a full disk, NumPy's error has no number
+        np.save(table_file, np.uint8(shown.levels > 0))
+        with whole_file(beside) as partial:
+            partial.write_bytes(table_file.getvalue())
         table: dict[str, Any] = {"file": beside.name, "mode": shown.mode}
     else:
         table = {name: getattr(shown, name) for name in _PATTERN_FIELDS}

@@ -171,6 +171,30 @@ def test_a_signal_finishes_the_log_and_stops_the_camera(
     assert f"{n} records" in out
 
 
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    ("command", "limit"),
+    [("capture", "--records"), ("capture", "--duration"), ("process", "--records")],
+)
+def test_a_signal_before_all_has_come_is_no_success(
+    how: str, command: str, limit: str, firmware: Any, files: list[str | Path], tmp_path: Path
+) -> None:
+    """What came is in the log, whole; the status tells a script that it is not all."""
+    run = tmp_path / "run.mcap"
+    given = [*files, *(["--method", "zero-fill"] if command == "process" else [])]
+    with firmware.running() as path:
+        process = started(command, path, "-o", run, "-q", limit, "1000000", *given)
+        wait_for(run, 5_000)
+        process.send_signal(getattr(signal, how))
+        _, err = ended(process)
+    assert process.returncode == 1, err
+    of = "1000000 records" if limit == "--records" else r"1e\+06 s"
+    assert re.search(rf"^warning: stopped by a signal after [\d.]+ of {of}$", err, re.MULTILINE)
+    ending = Ending()
+    assert list(read_records(run, ending)) or command == "process"
+    assert ending.fault is None
+
+
 def test_a_log_gets_its_footer_also_when_processing_is_ended(firmware: Any, tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text(SETTINGS)
     with firmware.running() as path:

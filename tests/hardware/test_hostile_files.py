@@ -15,12 +15,13 @@ import h5py
 import numpy as np
 import pytest
 import zstandard
+from full_disk import files_up_to
 from radar_cubes import STEP, Echo, cube
 from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord
 from hardware.drivers.radio.setup import read_setup
-from hardware.drivers.settings import read_settings
+from hardware.drivers.settings import SpiSettings, read_settings, write_settings
 from hardware.errors import InputError
 from hardware.files import (
     naming,
@@ -29,8 +30,10 @@ from hardware.files import (
     read_array,
     read_regular,
     read_toml,
+    said,
     whole_file,
 )
+from hardware.patterns import own_patterns
 from hardware.recording import read_messages, recover
 from hardware.records import (
     QuaternionPose,
@@ -397,6 +400,27 @@ def test_a_full_disk_is_told_by_the_files_name_and_leaves_nothing(
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() == f"{tmp_path / 'after.h5'}: File too large"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["before.h5"]
+
+
+@pytest.mark.library("PIL")
+def test_a_picture_that_does_not_fit_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+    from hardware.png import write_grey
+
+    noise = np.random.default_rng(0).random((200, 200))
+    with files_up_to(4096), pytest.raises(OSError, match="File too large") as caught:
+        write_grey(tmp_path / "image.png", noise)
+    assert said(caught.value) == f"{tmp_path / 'image.png'}: File too large"
+    assert not list(tmp_path.iterdir())
+
+
+def test_own_patterns_that_do_not_fit_are_named(tmp_path: Path) -> None:
+    """NumPy's own words were `16384 requested and 3968 written`, without the file."""
+    levels = np.arange(16384).reshape(64, 16, 16) % 3 == 0
+    settings = SpiSettings(own_patterns(levels, "plain"), 1e-6)
+    with files_up_to(4096), pytest.raises(OSError, match="File too large") as caught:
+        write_settings(settings, tmp_path / "camera.toml")
+    assert said(caught.value) == f"{tmp_path / 'camera-patterns.npy'}: File too large"
+    assert not list(tmp_path.iterdir())
 
 
 # Logs.

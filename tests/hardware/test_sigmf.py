@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import files_up_to
 from radar_cubes import CARRIERS, STEP, WIDE, Echo, cube, track
 
 from hardware.records import Flag, RadarRecord
@@ -88,17 +89,10 @@ def test_sigmf_has_receivers_as_channels_and_says_what_is_wrong_with_slots(tmp_p
 @pytest.mark.library("sigmf")
 def test_sigmf_files_that_cannot_be_written_are_named(plain, tmp_path: Path) -> None:
     """As on a full disk: files may not grow beyond a limit; nothing is left."""
-    import resource
-
     from hardware.records.sigmf import export_sigmf
 
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(OSError, match="File too large") as refused:
-            export_sigmf(plain, tmp_path / "radar")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with files_up_to(1000), pytest.raises(OSError, match="File too large") as refused:
+        export_sigmf(plain, tmp_path / "radar")
     assert refused.value.filename == str(tmp_path / "radar.sigmf-data")
     assert not list(tmp_path.iterdir())
 

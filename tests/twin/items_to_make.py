@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 from twin.files import InputError
 
@@ -11,6 +12,13 @@ def reciprocal(number: int) -> float:
     if number == 2:
         raise InputError("scene.toml: wrong")
     return 1 / (3 - number)
+
+
+def with_process(number: int, word: str) -> tuple[int, str, int]:
+    """What it is made of, and by which process; some take a moment."""
+    if word == "slow":
+        time.sleep(0.3)
+    return number, word, os.getpid()
 
 
 def dies(number: int) -> None:

@@ -16,6 +16,7 @@ from twin.camera import capture
 from twin.drive import Drive, drive
 from twin.fidelity import Fidelity, Tolerance
 from twin.scene import load_scene
+from twin.serve.serving import ServedDevice
 from twin.system import load_system
 
 Command = Callable[..., tuple[int, str, str]]
@@ -89,17 +90,27 @@ def test_a_served_camera_has_the_knobs_asked_for(
     twin: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str
 ) -> None:
     served: list[Fidelity] = []
+    listened: list[int] = []
 
     def camera(*_: object, fidelity: Fidelity, **__: object) -> Any:
         served.append(fidelity)
-        return type("Device", (), {"name": "camera", "url": "tcp:"})
+        return ServedDevice(
+            "camera", "tcp:", lambda: None, lambda: None, lambda: listened.append(1)
+        )
 
     monkeypatch.setattr("twin.serve.serving.serve_camera", camera)
     monkeypatch.setattr("twin.serve.serving.run", lambda devices: None)
     value = {"--tolerance": "0.05", "--within": "60 s"}[option]
     design = small(tmp_path)
-    ended, told, _ = twin("serve", "table1", "--system", design, "--spi-at", "pty", option, value)
+    ended, told, aside = twin(
+        "serve", "table1", "--system", design, "--spi-at", "pty", option, value
+    )
     assert ended == 0
+    assert listened == [1]
+    # What takes its time is told; stdout begins with what a program waits for.
+    assert ("choosing the accuracy" in aside) == (option == "--within")
+    assert "camera: computing the first frame" in aside
+    assert "computing" not in told
     # 60 s allow the smallest share that is tried.
     (knobs,) = served
     assert knobs.light_tolerance == (0.05 if option == "--tolerance" else 0.5)

@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.full_disk import files_up_to
 from twin import engine
 from twin.camera.truth import Truth, write_truth
 from twin.engine import EngineError, ensure_llvm, llvm_version
 from twin.errors import InputError
+from twin.files import whole_folder
 from twin.scene import load_scene
 from twin.transfer import aligned
 
@@ -150,6 +152,7 @@ def _textured(tmp_path: Path) -> None:
 def test_one_thread_reads_and_writes_openexr(tmp_path: Path) -> None:
     """Mitsuba by itself waits forever there, as it does on a single core."""
     code = f"""
+from pathlib import Path
 import drjit
 drjit.set_thread_count(1)
 import numpy as np
@@ -157,7 +160,7 @@ from twin.camera.truth import Truth, write_truth
 from twin.engine import exr_threads, mitsuba
 from twin.scene import load_scene
 albedo = np.full((4, 4), 0.25)
-write_truth(Truth(albedo, 1 / albedo), {str(tmp_path / "truth.exr")!r})
+write_truth(Truth(albedo, 1 / albedo), Path({str(tmp_path / "truth.exr")!r}))
 with exr_threads():
     mitsuba().Bitmap(albedo.astype(np.float32)).write({str(tmp_path / "t.exr")!r})
 load_scene({str(tmp_path / "s.xml")!r})
@@ -169,6 +172,21 @@ print(drjit.thread_count())
     )
     assert run.returncode == 0, run.stderr
     assert run.stdout.split()[-1] == "1"
+
+
+def test_truth_that_does_not_fit_is_an_error_of_the_system(tmp_path: Path) -> None:
+    """Mitsuba's own is a RuntimeError, which commands do not expect; in a folder that appears
+    whole, the error names its final place, and nothing is left.
+    """
+    albedo = np.random.default_rng(0).random((64, 64))
+    with (
+        files_up_to(4096),
+        pytest.raises(OSError, match="File too large") as caught,
+        whole_folder(tmp_path / "run") as partial,
+    ):
+        write_truth(Truth(albedo, 1 / albedo), partial / "truth.exr")
+    assert caught.value.filename == str(tmp_path / "run")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_texture_that_is_no_picture_is_told(tmp_path: Path) -> None:

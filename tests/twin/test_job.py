@@ -19,6 +19,7 @@ import pytest
 from hardware import read_record, reconstruct
 from hardware.radar.process import process
 from hardware.records import read_radar_record
+from tests.full_disk import files_up_to
 from tests.still import still_yard
 from twin import cli
 from twin.accuracy import Interval
@@ -28,7 +29,7 @@ from twin.camera.light import render
 from twin.camera.score import score
 from twin.engine import mitsuba
 from twin.fidelity import Fidelity
-from twin.files import InputError, whole_folder
+from twin.files import InputError, locked, whole_folder
 from twin.job import run, stage_names
 from twin.radar import load_radar
 from twin.scene import load_scene, parse_pose
@@ -398,6 +399,19 @@ def test_whole_folder_is_all_or_nothing(tmp_path: Path) -> None:
     with whole_folder(out) as partial:
         (partial / "new").write_text("z")
     assert {p.name: p.read_text() for p in out.iterdir()} == {"new": "z", "kept": "y"}
+
+
+def test_a_lock_that_does_not_fit_names_its_folder_and_leaves_nothing(tmp_path: Path) -> None:
+    """As on a full disk: the file is there before anything can be written to it."""
+    out = tmp_path / "sweep"
+    with (
+        files_up_to(0),
+        pytest.raises(OSError, match="File too large") as caught,
+        locked(out, "sweep"),
+    ):
+        pytest.fail("nobody may work there")
+    assert caught.value.filename == str(out)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("after_s", [0.2, 1.0, 4.0])

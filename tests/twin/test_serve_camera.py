@@ -422,6 +422,23 @@ def test_a_port_that_is_taken(world) -> None:
             TcpPort("127.0.0.1", port)
 
 
+def test_a_port_lets_nobody_in_until_it_listens() -> None:
+    """While another device is computed nobody would answer a host that is let in."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as other:
+        port = other.getsockname()[1]
+    with closing(TcpPort("127.0.0.1", port, at_once=False)) as port_held:
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), timeout=1)
+        port_held.listen()
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    held = TcpPort("127.0.0.1", port, at_once=False)
+    with (
+        closing(TcpPort("127.0.0.1", port)),
+        pytest.raises(InputError, match=rf"spi: tcp:127\.0\.0\.1:{port}: Address already in use"),
+    ):
+        held.listen()
+
+
 @pytest.mark.whole
 def test_the_command(tmp_path: Path) -> None:
     """The settings that it writes are those of the system, and a driver measures with them."""

@@ -3,9 +3,10 @@
 import logging
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
+import psutil
 import pytest
 
 from hardware.drivers.framing import Deframer, encode
@@ -29,7 +30,6 @@ from twin.scene import load_scene
 from twin.serve.camera import VirtualCamera
 from twin.serve.clock import DeviceClock
 from twin.serve.frames import FramesAhead, FramesOfRuns
-from twin.serve.prefetcher import Prefetcher
 from twin.system import System, load_system
 
 SYSTEM = load_system("workable").with_(
@@ -152,32 +152,89 @@ def test_a_run_ends_where_a_trajectory_does(caplog: pytest.LogCaptureFixture) ->
     assert len(host.made) == 2
 
 
-@pytest.mark.thorough
-def test_runs_of_the_same_frames_share_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run that stops anywhere is followed by one that begins with frame 0; processes are new
-    where frames are others, or where one has died.
+def test_a_frame_that_is_long_in_coming_is_told_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it an operator saw nothing while the host gave up and started the camera anew."""
+    monkeypatch.setattr("twin.serve.camera._COMPUTING_S", 0.2)
+    host = Host(takes_s=0.6, sets=2)
+    with caplog.at_level(logging.WARNING):
+        sent = host.served(30.0)
+    assert sum(isinstance(message, Measurement) for message in sent) == 2
+    (told,) = caplog.messages
+    assert "frame 0 is due for 0.2" in told
+    assert "still being computed" in told
+
+
+class Requested:
+    """Stands in for a prefetcher: what it is asked, without an answer before ``is_there``."""
+
+    made: ClassVar[list["Requested"]] = []
+
+    def __init__(self, make: object, *args: object) -> None:
+        self.runs, self.is_there, self.has_died = [args], False, False
+        self.made.append(self)
+
+    def __call__(self, number: int) -> tuple[int, object]:
+        return number, self.runs[-1]
+
+    def ready(self, number: int, timeout_s: float) -> bool:
+        return self.is_there
+
+    def begin_again(self, *args: object) -> bool:
+        self.runs.append(args)
+        return not self.has_died
+
+    def close(self) -> None:
+        self.runs.append(("closed",))
+
+
+def test_a_run_that_was_waited_for_in_vain_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host that waits 10 s gives up and starts the camera anew, in a world that has gone on by
+    as much: what is being computed is not thrown away. Once a frame has come, or the system is
+    another, the next run begins at its own instant, by the same processes.
     """
-    frames = MovingFrames(load_scene("yard"), SYSTEM, 3, QUICK)
-    expected = [frames(number).counts for number in range(3)]
-    begun: list[Prefetcher[SpiRecord]] = []
+    monkeypatch.setattr("twin.serve.frames.Prefetcher", Requested)
+    Requested.made.clear()
+    other = SYSTEM.with_({"acquisition.n_patterns": 4})
+    runs = FramesOfRuns(load_scene("yard"), SYSTEM, 3, QUICK)
+    assert runs(SYSTEM, 30.0).begins_s == 30.0  # not what was computed when it was switched on
+    for later_s in (40.0, 50.0):
+        assert runs(SYSTEM, later_s).begins_s == 30.0
+    assert runs(other, 60.0).begins_s == 60.0
+    assert next(runs(other, 70.0)) == (0, (other, 60.0))
+    assert runs(other, 80.0).begins_s == 80.0
+    (only,) = Requested.made
+    assert only.runs == [(SYSTEM, 0.0), (SYSTEM, 30.0), (other, 60.0), (other, 80.0)]
+    only.has_died = True
+    next(runs(other, 90.0))
+    assert runs(other, 100.0).begins_s == 100.0
+    assert [each.runs[-1] for each in Requested.made] == [("closed",), (other, 100.0)]
 
-    class Counted(Prefetcher[SpiRecord]):
-        def __init__(self, make: MovingFrames) -> None:
-            super().__init__(make)
-            begun.append(self)
 
-    monkeypatch.setattr("twin.serve.frames.Prefetcher", Counted)
-    runs = FramesOfRuns()
-    for length in (1, 3, 0, 2):
-        run = runs(MovingFrames(load_scene("yard"), SYSTEM, 3, QUICK))
+@pytest.mark.thorough
+def test_runs_share_processes() -> None:
+    """A run that stops anywhere is followed by one that begins with frame 0 of its own instant and
+    system.
+    """
+    scene, other = load_scene("yard"), SYSTEM.with_({"acquisition.n_patterns": 4})
+    runs = FramesOfRuns(scene, SYSTEM, 3, QUICK)
+    runs.wait()
+    processes = set(psutil.Process().children())
+    for length, begins_s, system in (
+        (1, 0.0, SYSTEM),
+        (3, 0.0, SYSTEM),
+        (0, 1.5, SYSTEM),
+        (2, 2.0, other),
+        (2, 2.5, SYSTEM),
+    ):
+        run, expected = (
+            runs(system, begins_s),
+            MovingFrames(scene.after(begins_s), system, 3, QUICK),
+        )
         for number in range(length):
-            while not run.ready():
-                time.sleep(0.01)
-            np.testing.assert_array_equal(next(run).counts, expected[number])
-    assert len(begun) == 1
-    run = runs(replace(frames, seed=4))
-    assert len(begun) == 2
-    np.testing.assert_array_equal(next(run).counts, replace(frames, seed=4)(0).counts)
-    begun[-1].close()
-    runs(replace(frames, seed=4))
-    assert len(begun) == 3
+            while not run.ready(1.0):
+                pass
+            np.testing.assert_array_equal(next(run).counts, expected(number).counts)
+    assert set(psutil.Process().children()) == processes
+    run.close()

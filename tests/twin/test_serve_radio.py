@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 import zmq
-from items_to_make import dies, reciprocal
+from items_to_make import dies, reciprocal, with_process
 from ugv_command import ugv
 from virtual_radio import QUICK, SEED, direct, served, small, virtual
 
@@ -337,6 +337,23 @@ def test_prefetcher() -> None:
         Prefetcher(lambda number: number)(0)
 
 
+def test_processes_of_a_prefetcher_go_on_with_other_arguments() -> None:
+    """What they compute for the earlier ones comes to nobody; what would not be read at once, or
+    waits unread, is left to other processes.
+    """
+    prefetcher = Prefetcher(with_process, "slow")
+    made = [prefetcher(number) for number in range(3)]
+    assert [item[:2] for item in made] == [(0, "slow"), (1, "slow"), (2, "slow")]
+    assert prefetcher.begin_again("one")
+    assert prefetcher.begin_again("two")
+    made += [prefetcher(number) for number in range(2)]
+    assert [item[:2] for item in made[3:]] == [(0, "two"), (1, "two")]
+    assert len({process for _, _, process in made}) <= min(4, os.cpu_count() or 1)
+    assert not prefetcher.begin_again("long" * 10000)
+    assert not all(prefetcher.begin_again(f"slow {number}") for number in range(9))
+    prefetcher.close()
+
+
 class SlowToSend:
     """What takes half a second until it is on its way to another process."""
 
@@ -450,7 +467,9 @@ def test_the_command(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
         assert not psutil.wait_procs(helpers, timeout=10)[1]
-        assert process.stderr.read() == "twin: interrupted, nothing half-written is left\n"
+        computing, *ended = process.stderr.read().splitlines()
+        assert computing.startswith("radar: computing the first sweep; its address is printed")
+        assert ended == ["twin: interrupted, nothing half-written is left"]
 
 
 def test_no_such_pace(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

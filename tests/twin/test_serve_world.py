@@ -60,23 +60,15 @@ def test_a_radio_that_begins_later_shows_what_the_world_is_like_by_then(scene: S
     assert not np.array_equal(early.iq[0], record.iq[0])
 
 
-def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> None:
+def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch, caplog) -> None:
     """What the camera's server is given for a run begins where the radar has come to. At a fast
-    pace too its frames are computed ahead, elsewhere: a camera that computes hears nothing.
+    pace too its frames are computed ahead, elsewhere: a camera that computes hears nothing. A run
+    that goes on with what the one before waited for says how old that is.
     """
-    began: list[Scene] = []
-
-    class Frames:
-        def __init__(self, now: Scene, *_: object) -> None:
-            began.append(now)
-
-        def __call__(self, number: int) -> SpiRecord:
-            raise NotImplementedError
-
     given = {}
 
     class Camera:
-        url, run, stop = "tcp://127.0.0.1:1", None, None
+        url, run, stop, listen = "tcp://127.0.0.1:1", None, None, None
 
         def __init__(self, camera, line, **_: object) -> None:
             given["camera"] = camera
@@ -85,13 +77,20 @@ def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> No
         return records(system)
 
     class Ahead:
-        def __init__(self, frames: Frames) -> None:
-            self.frames = frames
+        def __init__(self, now: Scene, *_: object) -> None:
+            self.scene, self.begins_s = now, None
+
+        def wait(self) -> None:
+            """They are there."""
+
+        def __call__(self, asked: System, begins_s: float) -> "Ahead":
+            self.begins_s = self.begins_s or begins_s  # none has come yet
+            return self
 
     world = SharedWorld("fast")
     world.begin()
     world.reached(1.25)
-    monkeypatch.setattr(serving, "FramesOfRuns", lambda: Ahead)
+    monkeypatch.setattr(serving, "FramesOfRuns", Ahead)
     monkeypatch.setattr(serving, "CameraServer", Camera)
     monkeypatch.setattr(serving, "VirtualCamera", virtual_camera)
     system = load_system("workable").with_(
@@ -100,12 +99,12 @@ def test_a_camera_that_begins_later_does_so_too(scene: Scene, monkeypatch) -> No
     monkeypatch.setattr(serving, "Terminal", lambda: Camera(None, None))
     monkeypatch.setattr(serving.MovingFrames, "__call__", lambda self, number: None)
     serving.serve_camera(scene, system, None, pace="fast", world=world)
-    monkeypatch.setattr(serving, "MovingFrames", Frames)
-    assert isinstance(given["camera"](None, None), Ahead)
-    car = [item for item in began[0].objects if item.moves]
-    expected = [item for item in scene.after(1.25).objects if item.moves]
-    for one, other in zip(car, expected, strict=True):
-        np.testing.assert_array_equal(one.vertices_m, other.vertices_m)
+    run = given["camera"](None, None)
+    assert (run.scene, run.begins_s) == (scene, 1.25)
+    assert not caplog.messages
+    world.reached(11.25)
+    given["camera"](None, None)
+    assert "they show the world of 10 s ago" in caplog.text
 
 
 def test_a_radio_behind_the_world_says_by_how_much(scene: Scene, caplog) -> None:

@@ -83,7 +83,10 @@ def incidence_cosines(scene: Any, camera: Device, shape: tuple[int, int]) -> NDA
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Write OpenEXR with the channels ``albedo`` and ``depth`` (metres), float32."""
+    """Write OpenEXR with the channels ``albedo`` and ``depth`` (metres), float32.
+
+    In memory first: Mitsuba tells of a full disk by a RuntimeError without its number.
+    """
     mi = mitsuba()
     rows, columns = truth.albedo.shape
     bitmap = mi.Bitmap(
@@ -94,5 +97,7 @@ def write_truth(truth: Truth, path: Path) -> None:
         ["albedo", "depth"],
     )
     np.array(bitmap, copy=False)[:] = np.stack([truth.albedo, truth.depth_m], axis=-1)
+    stream = mi.MemoryStream()
     with exr_threads():
-        bitmap.write(str(path))
+        bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    path.write_bytes(stream.raw_buffer())

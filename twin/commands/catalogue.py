@@ -35,9 +35,11 @@ def parts(
     ]
     say.add(kind=part.kind, name=part.name, description=part.description, values=values)
     if plot is not None:
+        from hardware.files import whole_file
         from twin.report.part_figure import plot_part
 
-        plot_part(part).savefig(plot, format="png")
+        with whole_file(plot) as partial:
+            plot_part(part).savefig(partial, format="png")
         say.written(plot)
 
 

@@ -1,5 +1,6 @@
 """`twin serve`: the twin behind the protocols of the devices."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    scores_asked,
 )
 
 
@@ -100,8 +102,16 @@ def serve(
     for address in (camera_address, radio_address):
         if address is not None and not address.loopback:
             say.warn(f"{address.host}: whoever reaches it can use it")
+
+    def tell(text: str) -> None:
+        """On stderr: the first line of stdout is an address."""
+        if not say.quiet:
+            print(text, file=sys.stderr, flush=True)
+
     loaded = load_scene(scene, parse_pose(pose) if pose is not None else None)
     sweeper = load_radar(radar) if radio_address is not None else None
+    if within is not None or scores_asked(tolerance) is not None:
+        tell("choosing the accuracy; addresses are printed when devices can be reached")
     knobs = knobs_asked(
         say,
         lambda: loaded,
@@ -116,6 +126,7 @@ def serve(
     world = SharedWorld(how) if both else None
     devices = []
     if spi_at is not None:
+        tell("camera: computing the first frame; its address is printed when it can be reached")
         devices.append(
             serve_camera(
                 loaded,
@@ -130,6 +141,7 @@ def serve(
             )
         )
     if radio_address is not None and sweeper is not None:
+        tell("radar: computing the first sweep; its address is printed when it can be reached")
         devices.append(
             serve_radar(
                 loaded,
@@ -144,6 +156,8 @@ def serve(
                 world=world,
             )
         )
+    for device in devices:
+        device.listen()
     for device in devices:
         say.verdict(f"{device.name}: {device.url}")
     run(devices)

@@ -163,6 +163,7 @@ def show(
     """Draw a sweep: a metric over parameters, what moves it most, or a Pareto front of two, whose
     designs are listed; and save a design as a system of one's own.
     """
+    from hardware.files import whole_file
     from twin.errors import InputError
     from twin.sweep import open_sweep
     from twin.sweep.dataset import metrics_of
@@ -190,7 +191,8 @@ def show(
     if figure is not None:
         drawn = "-".join(filter(None, (metric, front))).replace(":", ".")
         out = out or sweep / f"{drawn}.png"
-        figure.savefig(out, dpi=150)
+        with whole_file(out) as partial:
+            figure.savefig(partial, dpi=150, format=out.suffix[1:] or "png")
         say.written(out)
     if front is None and (figure is not None or csv is not None):
         _tell_warned(say, data)

@@ -135,6 +135,7 @@ class Regression:
             setup=setup_of(
                 "camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics
             ),
+            contents={"scene": views[0], "design": design},
             pictures=IMAGES,
         )
         return self._verdicts(comparison, name)
@@ -185,6 +186,7 @@ class Regression:
             setup=setup_of(
                 "radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics
             ),
+            contents={"scene": views[0], "design": design},
             pictures=ECHOES,
         )
         return self._verdicts(comparison, name)
@@ -201,7 +203,7 @@ class Regression:
         if self.reason is not None:
             self._update(comparison, outcome, path, self.reason)
             return ()
-        baseline = self._baseline(path, comparison.setup)
+        baseline = self._baseline(path, comparison)
         verdicts, repeats_itself = comparison.verdicts(outcome, baseline)
         if not repeats_itself:
             self.notes.append(f"{self.node}: {_NOT_REPEATED}")
@@ -213,16 +215,19 @@ class Regression:
             self.notes.append(f"{self.node}: better; keep it: {self._remedy('what improved')}")
         return verdicts
 
-    def _baseline(self, path: Path, setup: dict[str, Any]) -> Baseline:
+    def _baseline(self, path: Path, comparison: Comparison) -> Baseline:
         """The baseline of a file; the test fails where there is none with this setup."""
         __tracebackhide__ = True
+        fault = ""  # told outside of the handler: pytest shows what an exception was raised in
         try:
             baseline = read_baseline(path)
         except InputError as error:
-            _fail(f"{error}: {self._remedy('why')}")
+            fault = str(error)
+        if fault:
+            _fail(f"{fault}: {self._remedy('why')}")
         if baseline is None:
             _fail(f"{path}: no such baseline; make one: {self._remedy('what it is for')}")
-        if apart := differences(baseline.setup, setup):
+        if apart := differences(baseline.setup, comparison.setup, comparison.contents):
             _fail(
                 f"{path}: made with another setup: {'; '.join(apart)}; "
                 f"{self._remedy('why it changed')}"

@@ -1,16 +1,20 @@
 """What figures are of: views of a scene, seeds, and all that must be the same as in a baseline."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin.digest import digest
+from twin.digest import digest, parts
 from twin.fidelity import Fidelity, LightFidelity, RadarFidelity
 from twin.files import InputError
 from twin.radar import RadarDesign
 from twin.regression.metrics import Metric
 from twin.scene import Pose, Scene, load_scene
 from twin.system import System
+
+#: Values of scene and design in a setup: they are told where a digest differs, and not compared.
+_PARTS = "values"
 
 
 def views_of(scene: str | Path | Scene, poses: Sequence[Pose]) -> list[Scene]:
@@ -43,12 +47,23 @@ def setup_of(
         truths = {"truths": ["as rendered", "mirrored"]}
     return truths | {
         "kind": kind,
-        "scene": f"{scene.name} {digest(scene)[:12]}",
-        "design": f"{design.name} {digest(design)[:12]}",
+        "scene": said_as(scene.name, scene),
+        "design": said_as(design.name, design),
+        _PARTS: {"scene": parts(scene), "design": parts(design)},
         "fidelity": fidelity.said(),
         "seeds": n_seeds,
         "metrics": [metric.name for metric in metrics],
     }
+
+
+def said_as(name: str, content: Scene | System | RadarDesign) -> str:
+    """What a setup says of a scene or a design, if it had this name."""
+    named = replace(content, name=name) if isinstance(content, Scene) else _copy(content, name)
+    return f"{name} {digest(named)[:12]}"
+
+
+def _copy(design: System | RadarDesign, name: str) -> System | RadarDesign:
+    return design.model_copy(update={"name": name})
 
 
 def n_views_of(setup: dict[str, Any]) -> int:
@@ -56,9 +71,16 @@ def n_views_of(setup: dict[str, Any]) -> int:
     return len(setup.get("poses", [""]))
 
 
-def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+def differences(
+    before: dict[str, Any],
+    now: dict[str, Any],
+    contents: Mapping[str, Scene | System | RadarDesign],
+) -> list[str]:
     """Entries of a baseline's setup and of today's that are not the same, one line each; of entries
     with names of their own, such as knobs, those that differ.
+
+    ``contents``: the scene and the design of today. The same ones by another name, as of a copied
+    folder, do not differ. Of others the values that differ are told, by baselines that hold them.
 
     A knob newer than the baseline stood then where `Fidelity` has it, even if another value is the
     default now; one that is gone is a change of the twin, which its figures are to judge. Baselines
@@ -70,8 +92,16 @@ def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
         "fidelity": {name: knobs.get(name, defaults[name]) for name in now["fidelity"]},
     }
 
+    known, today = before.pop(_PARTS, {}), now[_PARTS]
+    now = {name: value for name, value in now.items() if name != _PARTS}
+    for name, content in contents.items():
+        if (said := before.get(name)) == said_as(str(said).rpartition(" ")[0], content):
+            now[name] = said
+
     def line(name: str) -> str:
         one, other = before.get(name), now.get(name)
+        if known.get(name, today.get(name)) != today.get(name):
+            one, other = known[name], today[name]
         if isinstance(one, dict) and isinstance(other, dict):
             apart = [key for key in {**one, **other} if one.get(key) != other.get(key)]
             one, other = ({key: part.get(key) for key in apart} for part in (one, other))

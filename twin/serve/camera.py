@@ -1,6 +1,7 @@
 """The virtual camera: the twin behind hardware/drivers/PROTOCOL.md, independent of the line."""
 
 import logging
+import time
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -53,6 +54,7 @@ _log = logging.getLogger(__name__)
 
 _FRAME_EXPOSURES = 64
 _POLLING_S = 0.01  # at which a record that is being computed is looked for
+_COMPUTING_S = 3.0  # that a frame is due, before it is said; a host's driver waits 10 s
 _SETS_BEFORE_WARNING = 2  # of a run, before there is a warning that they are late
 _FROM_CAMERA = 0x80  # types from here on are those that a camera sends
 _NO_REQUEST = "no request of the protocol"
@@ -70,6 +72,7 @@ class _CameraRun:
     frames: int = 0
     dropped: int = 0
     is_warned_of: bool = False
+    waits_since_s: float | None = None  # by the host's clock, for the next record
 
 
 class VirtualCamera:
@@ -163,7 +166,9 @@ class VirtualCamera:
         """Take the next record of a run; whether it is there. A run of which it fails ends."""
         frames = run.records
         if isinstance(frames, FramesAhead) and not frames.ready():
+            self._tell_computing(run)
             return False
+        run.waits_since_s = None
         try:
             run.record = next(run.records)
         except (InputError, EngineError) as error:
@@ -172,6 +177,20 @@ class VirtualCamera:
             return False
         self._warn_late(run)
         return True
+
+    def _tell_computing(self, run: _CameraRun) -> None:
+        """Tell once that a frame that is due is still being computed."""
+        now_s = time.monotonic()
+        if run.waits_since_s is None:
+            run.waits_since_s = now_s
+        if now_s - run.waits_since_s > _COMPUTING_S and not self._has_told_computing:
+            self._has_told_computing = True
+            _log.warning(
+                "%s: frame %d is due for %.3g s and still being computed; it is sent late",
+                *(self.system.name, run.set, now_s - run.waits_since_s),
+            )
+
+    _has_told_computing = False
 
     def _warn_late(self, run: _CameraRun) -> None:
         """Tell once in a run that records come later than they were measured."""

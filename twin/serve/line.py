@@ -4,7 +4,8 @@ import os
 import selectors
 import socket
 import tty
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from hardware.drivers.framing import Deframer, encode
 from hardware.drivers.messages import Refusal, Refused, to_frame
@@ -22,6 +23,9 @@ class Terminal:
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self.url = os.ttyname(self._theirs)
+
+    def listen(self) -> None:
+        """A terminal is there at once."""
 
     def register(self, ready: selectors.BaseSelector) -> None:
         """Have reading waited for."""
@@ -53,19 +57,30 @@ class Terminal:
 class TcpPort:
     """A TCP port; requests of a second host are refused.
 
-    Raises InputError where it cannot listen.
+    Raises InputError where it cannot be had. Without ``at_once`` connections are refused until
+    `listen`: a host that is let in waits for answers.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, *, at_once: bool = True) -> None:
+        self._place = f"tcp:{host}:{port}"
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        try:
-            self._server = socket.create_server((host, port), family=family)
-        except OSError as error:
-            raise InputError(f"spi: tcp:{host}:{port}: {error.strerror or error}") from error
+        self._server = socket.socket(family)
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with self._named():
+            if family == socket.AF_INET6:  # of this version alone, as `socket.create_server`
+                self._server.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            self._server.bind((host, port))
+        if at_once:
+            self.listen()
         self._server.setblocking(False)
         self.url = f"socket://{host}:{self._server.getsockname()[1]}"
         self._host: socket.socket | None = None
         self._others: dict[socket.socket, Deframer] = {}
+
+    def listen(self) -> None:
+        """Let hosts in. Raises InputError where another program has taken the port meanwhile."""
+        with self._named():
+            self._server.listen()
 
     def register(self, ready: selectors.BaseSelector) -> None:
         """Have reading waited for."""
@@ -114,6 +129,14 @@ class TcpPort:
         for other in self._others:
             other.close()
         self._server.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._server.close()
+            raise InputError(f"spi: {self._place}: {error.strerror or error}") from error
 
     def _accept(self) -> None:
         with suppress(BlockingIOError):

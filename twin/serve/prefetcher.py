@@ -6,6 +6,7 @@ delay the end of a process until their items are computed, and outlive a parent 
 """
 
 import os
+import pickle
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,6 +19,8 @@ from twin.errors import EngineError
 _Item = TypeVar("_Item")
 
 _MOST_PROCESSES = 4  # each holds an engine of its own: some 400 MB
+#: Bytes of arguments, and requests that are not read yet: together less than a line holds unread.
+_MOST_SENT, _MOST_GIVEN_UP = 16384, 4
 
 
 class Prefetcher(Generic[_Item]):
@@ -29,10 +32,13 @@ class Prefetcher(Generic[_Item]):
     Parameters
     ----------
     make
-        Item k, which depends on k alone; it and what it gives can be pickled.
+        Item k, which depends on k and ``args`` alone; it and what it gives can be pickled.
+    args
+        See `begin_again`.
     """
 
-    def __init__(self, make: Callable[[int], _Item]) -> None:
+    def __init__(self, make: Callable[..., _Item], *args: Any) -> None:
+        self._args = pickle.dumps(args)
         self._closed = self._died = False
         self._failure = ""
         count = min(_MOST_PROCESSES, os.cpu_count() or 1)
@@ -41,16 +47,18 @@ class Prefetcher(Generic[_Item]):
         self._asked = list(range(count))  # what each line computes, or has computed
         self._given_up = [0] * count  # items before it that nobody waits for any more
         for number, line in enumerate(self._lines):
-            line.send(number)
+            line.send((number, None))
         # To start a process takes seconds on a busy machine, and a device has to answer meanwhile.
         ends = [theirs for _, theirs in pipes]
-        threading.Thread(target=self._start, args=(make, ends), daemon=True).start()
+        threading.Thread(target=self._start, args=(make, args, ends), daemon=True).start()
 
-    def _start(self, make: Callable[[int], _Item], ends: list[Connection]) -> None:
+    def _start(
+        self, make: Callable[..., _Item], args: tuple[Any, ...], ends: list[Connection]
+    ) -> None:
         for theirs in ends:
             try:
                 if not self._closed and not self._failure:
-                    start_process(_work, theirs, make)
+                    start_process(_work, theirs, make, args, len(ends))
             except Exception as error:  # what cannot be pickled, no memory
                 self._failure = f": {type(error).__name__}: {error}"
             theirs.close()
@@ -68,7 +76,7 @@ class Prefetcher(Generic[_Item]):
             self._given_up[place] = 0
             item, error = line.recv()
             self._asked[place] = number if error else number + len(self._lines)
-            line.send(self._asked[place])
+            line.send((self._asked[place], None))
         except (EOFError, OSError):
             self._died = True
             raise EngineError(f"the process that computes it has died{self._failure}") from None
@@ -86,17 +94,27 @@ class Prefetcher(Generic[_Item]):
                 self._given_up[place] -= 1
         return not self._given_up[place] and line.poll(timeout_s)
 
-    def begin_again(self) -> bool:
-        """Request items from 0 on again, of the same processes; False where one has died."""
+    def begin_again(self, *args: Any) -> bool:
+        """Request items from 0 on again, of the same processes, with other arguments maybe. What
+        they compute meanwhile for the earlier ones is finished first.
+
+        False where others have to be started: one has died, or would have to read before the
+        request is sent, for which a device has no time.
+        """
+        asked = pickle.dumps(args)
+        changed = None if asked == self._args else args
+        if changed and (len(asked) > _MOST_SENT or max(self._given_up) >= _MOST_GIVEN_UP):
+            return False
         for place, line in enumerate(self._lines):
-            if self._asked[place] == place:
+            if self._asked[place] == place and changed is None:
                 continue
             try:
-                line.send(place)
+                line.send((place, changed))
             except OSError:
                 return False
             self._asked[place] = place
             self._given_up[place] += 1
+        self._args = asked
         return not self._died
 
     def close(self) -> None:
@@ -106,15 +124,19 @@ class Prefetcher(Generic[_Item]):
             line.close()
 
 
-def _work(line: Connection, make: Callable[[int], Any]) -> None:
-    """Compute requested items until the connection is closed; all but the first one, for which a
-    device that starts up waits, at low priority.
+def _work(line: Connection, make: Callable[..., Any], args: tuple[Any, ...], count: int) -> None:
+    """Compute requested items until the connection is closed. From the first one on that is asked
+    for when another is delivered, at low priority: until then a device waits that starts up.
     """
+    is_low = False
     try:
-        line.send(attempt(make, line.recv()))
-        _lower_priority()
         while True:
-            line.send(attempt(make, line.recv()))
+            number, changed = line.recv()
+            args = args if changed is None else changed
+            if number >= count and not is_low:
+                _lower_priority()
+                is_low = True
+            line.send(attempt(make, number, *args))
     except (EOFError, OSError):
         pass
 

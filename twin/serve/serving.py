@@ -1,6 +1,7 @@
 """The virtual devices of ``twin serve``, each behind its protocol."""
 
 import ipaddress
+import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from twin.serve.sweeps import RadarSweep, RadarSweeps
 from twin.serve.world import SharedWorld
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,13 @@ def check_ports(camera: Address, radio: Address) -> None:
 
 @dataclass(frozen=True)
 class ServedDevice:
-    """A device that can be reached at a URL; ``run`` serves it until ``stop``."""
+    """A device that can be reached at a URL after ``listen``; ``run`` serves it until ``stop``."""
 
     name: str
     url: str
     run: Callable[[], None]
     stop: Callable[[], None]
+    listen: Callable[[], None] = lambda: None
 
 
 def serve_radar(
@@ -175,12 +179,21 @@ def serve_camera(
     if settings is not None:
         write_settings(settings_of(design), settings)
     if moves(scene) or scene.sun.moves:
+        ahead = FramesOfRuns(scene, design, seed, fidelity)
         MovingFrames(scene, design, seed, fidelity)(0)  # errors are told now
-        ahead = FramesOfRuns()
+        ahead.wait()
 
         def records(asked: System) -> Iterator[SpiRecord]:
-            now = scene.after(world.begin()) if world else scene
-            return ahead(MovingFrames(now, asked, seed, fidelity))
+            begins_s = world.begin() if world else 0.0
+            scene.after(begins_s)  # refused now where its trajectories have ended
+            frames = ahead(asked, begins_s)
+            if frames.begins_s < begins_s:
+                _log.warning(
+                    "%s: goes on with the frames of the run before, of which none came: they show "
+                    "the world of %.3g s ago",
+                    *(design.name, begins_s - frames.begins_s),
+                )
+            return frames
     else:
         light = still_light(scene, design, seed=seed, fidelity=fidelity)
 
@@ -188,7 +201,9 @@ def serve_camera(
             return stills(scene, asked, seed=seed, fidelity=fidelity, lit=light)
 
     clock = DeviceClock(pace, fault_chances.drift)
-    line: Line = Terminal() if address is None else TcpPort(address.host, address.port)
+    line: Line = (
+        Terminal() if address is None else TcpPort(address.host, address.port, at_once=False)
+    )
     server = CameraServer(
         lambda send, overrun: VirtualCamera(
             design,
@@ -203,7 +218,7 @@ def serve_camera(
         faults=fault_chances,
         seed=seed,
     )
-    return ServedDevice(f"twin: {design.name}", line.url, server.run, server.stop)
+    return ServedDevice(f"twin: {design.name}", line.url, server.run, server.stop, line.listen)
 
 
 def run(devices: Sequence[ServedDevice]) -> None:
