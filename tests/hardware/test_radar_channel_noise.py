@@ -101,6 +101,81 @@ def test_measured_echoes_err_as_stated_in_noise_that_channels_share(power_db: fl
     assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio
 
 
+SMALL = OfdmWaveform(79e9, 128, 15e6, 32, 39.0625e-6, 37, 0.06e-6)
+
+
+def an_echo(delay_s: float, rate: float) -> np.ndarray:
+    """Of power 1 per sample."""
+    f, t = SMALL.frequency_offsets_hz[:, None], SMALL.slot_times_s
+    delay = delay_s + rate * t
+    return np.exp(-2j * np.pi * (79e9 * delay % 1.0 + f * delay))
+
+
+def clutter_beside(
+    rng: np.random.Generator, delay_s: float, rate: float, along: int, n_channels: int
+) -> np.ndarray:
+    """480 points of random amplitude up to 20 cells to each side of an echo's delay (``along`` 0)
+    or rate (1): of power 1 per cell of a map without a window.
+    """
+    f, t = SMALL.frequency_offsets_hz, SMALL.slot_times_s
+    cells = rng.uniform(-20, 20, 480)
+    level = rng.normal(size=(n_channels, 480, 2)).view(np.complex128)[..., 0] / np.sqrt(24)
+    delays = delay_s + cells * SMALL.delay_cell_s * (1 - along)
+    rates = rate + cells * SMALL.delay_rate_cell * along
+    tones = np.exp(-2j * np.pi * delays[:, None] * f)
+    turns = np.exp(-2j * np.pi * 79e9 * rates[:, None] * t)
+    return np.einsum("ck,kf,kt->cft", level, tones, turns, optimize=True) / np.sqrt(f.size * t.size)
+
+
+@pytest.mark.parametrize(
+    ("along", "n_channels"),
+    [
+        (0, 1),
+        (1, 4),
+        pytest.param(1, 1, marks=pytest.mark.thorough),
+        pytest.param(0, 4, marks=pytest.mark.thorough),
+    ],
+)
+def test_errors_hold_clutter_of_the_echos_own_rate_or_range(along: int, n_channels: int) -> None:
+    """60 maps, clutter in the cells of one rate or one range 15 dB above the noise, the echo 20 dB
+    above it. Level, and the range in clutter of one rate or the rate in that of one range: 85 to
+    94 % were within 1.96 stated errors (the power of few cells is uncertain), of the mean of a
+    block 50 to 60 %. At least 43 of 60: of 88 % less four deviations, false alarms 1e-4 each.
+    """
+    rng, clutter_w = np.random.default_rng(5), 10**1.5
+    within = np.zeros(2)
+    for _ in range(60):
+        truth = 2 / C * rng.uniform(3, 5), 2 / C * rng.uniform(-3, 3)
+        power_w = 100 * clutter_w / (128 * 32)
+        channel = drawn(rng, np.eye(n_channels), 128, 32) + np.sqrt(power_w) * an_echo(*truth)
+        channel += np.sqrt(clutter_w) * clutter_beside(rng, *truth, along, n_channels)
+        one = detect_echoes(channel, SMALL, range_doppler(channel, SMALL), Cfar(1e-6), at_most=1)[0]
+        off = (one.delay_s, one.delay_rate)[along] - truth[along]
+        error = (one.delay_error_s, one.delay_rate_error)[along]
+        within += np.abs([off / error, (one.power_w - power_w) / one.power_error_w]) < 1.96
+    assert np.all(within >= 43), within
+
+
+@pytest.mark.parametrize("n_channels", [1, pytest.param(4, marks=pytest.mark.thorough)])
+def test_errors_in_white_noise_are_those_of_a_block(n_channels: int) -> None:
+    """60 maps at 30 dB: the range's stated error is the Cramer-Rao bound, 1.06 of it on one channel
+    and 1.04 on four, within 0.06 (three deviations: of a map's error 0.14). Of the mean of a block
+    it is 1.04 and 1.03; always the largest of the three would be 1.15.
+    """
+    rng, squares = np.random.default_rng(6), []
+    for _ in range(60):
+        truth = 2 / C * rng.uniform(3, 5), 2 / C * rng.uniform(-3, 3)
+        channel = drawn(rng, np.eye(n_channels), 128, 32)
+        channel += np.sqrt(1000 / (128 * 32)) * an_echo(*truth)
+        one = detect_echoes(channel, SMALL, range_doppler(channel, SMALL), Cfar(1e-6), at_most=1)[0]
+        squares.append(one.delay_error_s**2)
+    variance = (SMALL.n_subcarriers**2 - 1) / 12  # of subcarriers' numbers
+    bound_s = 1 / (
+        2 * np.pi * SMALL.subcarrier_spacing_hz * np.sqrt(2 * 1000 * n_channels * variance)
+    )
+    assert np.sqrt(np.mean(squares)) / bound_s == pytest.approx(1.05, abs=0.06)
+
+
 @pytest.mark.parametrize("power_db", [20.0, 50.0])
 def test_nothing_of_a_strong_echo_counts_as_noise(power_db: float) -> None:
     """Antennas 13 mm across see an echo aside in places 0.2 cells apart. What is left around it of

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.mounting import field_points
-from twin.camera.truth import depths
+from twin.camera.truth import Truth, depths
 from twin.optics.backscatter import airlight, backscatter
 from twin.optics.emission import emission_matrix, field_lobe
+from twin.optics.lost_orders import lost_orders_share
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import Paths
@@ -37,6 +38,26 @@ def scattering_depth(air: Air, depth_m: Array) -> float:
     scattered on the way there.
     """
     return air.scattering_per_m * float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
+
+
+def lost_orders(problem: LightProblem, truth: Truth, cells: Array, orders: int) -> float:
+    """Light that the air scatters more than ``orders`` times, as a share of ``cells``
+    (n_detectors, n_cells), the light of surfaces: as before a wall at the mean distance of that
+    light, of the mean reflectance that is seen.
+    """
+    depth_m, albedo = truth.depth_m, truth.albedo
+    image = np.hstack(list(cells.reshape(len(cells), len(depth_m), -1)))
+    lit = np.isfinite(depth_m) & (albedo > 0) & (image > 0)
+    if problem.air is None or not lit.any():
+        return 0.0
+    return lost_orders_share(
+        problem.air,
+        float(np.average(depth_m[lit], weights=image[lit])),
+        problem.emitter.tan_half_field,
+        float(albedo[lit].mean()),
+        orders,
+        rng=np.random.default_rng(0),  # the same air always loses as much
+    )
 
 
 @dataclass(frozen=True, eq=False)

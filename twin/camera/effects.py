@@ -1,6 +1,7 @@
 """Decisions on effects of a camera's light that need no further paths, with their bounds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,14 @@ def decisions_on_effects(
     chain: Chain,
     fidelity: Fidelity,
     air_cost_s: float,
+    lost_share: float = 0.0,
 ) -> tuple[Decision, ...]:
     """On the filter's angle shift, air, the pupil's area, and blur: of those that a system has.
 
     ``rendered``: with the air's light, which took ``air_cost_s``; ``problem``: with the pupil as it
-    was rendered. Effects on the light are relative to the noise, as that of the other decisions;
-    with time of flight to the light, root mean square over the cells.
+    was rendered; ``lost_share``: `lost_orders` of the light of surfaces. Effects on the light are
+    relative to the noise, as that of the other decisions; with time of flight to the light, root
+    mean square over the cells.
     """
     cells = rendered.light.cells
     # The noise of all cells and gates would take seconds, for effects that are taken anyway.
@@ -81,6 +84,10 @@ def decisions_on_effects(
         if fidelity.air_orders == 0:
             effect += " (fidelity.air_orders = 0)"
         found.append(Decision("camera", effect, depth, THIN, _OF_LIGHT, scatters))
+        if lost_share:
+            effect = f"light that the air scatters more than {fidelity.air_orders} times"
+            beyond = on_light(effect, lost_share * (rendered.light.cells - veil))
+            found.append(replace(beyond, taken=False, cost_s=math.nan))
     return (*found, *_on_blur(problem))
 
 

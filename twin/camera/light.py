@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import airlight_of, backscatter_of, where_air_scatters
+from twin.camera.air import airlight_of, backscatter_of, lost_orders, where_air_scatters
 from twin.camera.chain import Chain
 from twin.camera.effects import decisions_on_effects
 from twin.camera.equal_paths import sun_light, sun_shape, unseen_sun, with_light
@@ -28,6 +28,7 @@ from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     forward_scattering_warnings,
     grazing_warnings,
+    lost_orders_warnings,
     near_pupil_warnings,
     truncation_warnings,
     undersampling_warnings,
@@ -223,16 +224,21 @@ def render_light(
         else:
             rendered = with_light(rendered, problem, system, quality, first, fidelity.start)
     began_s = time.perf_counter()
+    lost = 0.0
     if problem.air:
         with stage("air"):
+            lost = lost_orders(problem, truth, rendered.light.cells, quality.air_orders)
+            beyond = rendered.light.left_out + lost * rendered.light.cells
             backscatter = backscatter_of(system, problem, truth.depth_m)
-            light = replace(rendered.light, cells=rendered.light.cells + backscatter.light)
+            cells = rendered.light.cells + backscatter.light
+            light = replace(rendered.light, cells=cells, left_out=beyond)
             paths = rendered.paths and backscatter.added_to(rendered.paths)
             rendered = replace(rendered, light=light, paths=paths, backscatter=backscatter)
     if not fidelity.has_light_tolerance:
-        return rendered
+        warnings = lost_orders_warnings(lost, quality.air_orders)
+        return replace(rendered, warnings=(*rendered.warnings, *warnings))
     cost_s = time.perf_counter() - began_s
-    further = decisions_on_effects(rendered, problem, chain, fidelity, cost_s)
+    further = decisions_on_effects(rendered, problem, chain, fidelity, cost_s, lost)
     return replace(rendered, decisions=(*rendered.decisions, *further))
 
 

@@ -51,9 +51,10 @@ class TracingQuality:
     air_orders
         Largest order of scattering in the air on the way to a surface, and on the way back. Light
         of higher orders is lost. Of a wall's light, by a random walk: at an optical depth of 1 each
-        way less than 0.1 % (asymmetry 0.85) and 0.6 % (0), with 4 orders 0.5 and 5 %; at 3 0.2 %
-        (0.85), 9 % (0.5) and 29 % (0). 0: no scattering is traced, and forward scattered light
-        stays in its cell, so that contrast is too high by the optical depth.
+        way less than 0.1 % (asymmetry 0.85) and 0.6 % (0), with 4 orders 0.5 and 5 %; at 3 0.8 %
+        (0.85), 16 % (0.5) and 43 % (0), which is a systematic error (`twin.optics.lost_orders`). 0:
+        no scattering is traced, and forward scattered light stays in its cell, so that contrast is
+        too high by the optical depth.
     rays
         Of a render to a tolerance, in place of the numbers of paths and bounces above: rays to
         surfaces at most, of all paths together. Light is then as exact as they make it.

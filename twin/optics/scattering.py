@@ -63,7 +63,8 @@ class Medium:
         return -dr.log(1 - rng.next_float32() * (1 - self.unscattered(length))) / self.scattering
 
     def scatterings(self, length: Any, rng: Any) -> tuple[Any, Any]:
-        """A number of scatterings n of 1 or more, and its weight (s l)^n / n! over its probability.
+        """A number of scatterings n of 1 or more, and the logarithm of its weight (s l)^n / n! over
+        its probability.
 
         Geometric, with the mean 1 + s l: not Poisson's distribution, in which the high orders are
         too rare to be drawn that long ways bring to light.
@@ -73,7 +74,7 @@ class Medium:
         ratio = depth / (1 + depth)
         number = 1 + dr.floor(dr.log(1 - rng.next_float32()) / dr.log(ratio))
         log_weight = dr.log(depth) + number * dr.log(1 + depth) - dr.lgamma(number + 1)
-        return mi.UInt32(dr.minimum(number, 1e6)), dr.exp(log_weight)
+        return mi.UInt32(dr.minimum(number, 1e6)), log_weight
 
     def cosine(self, rng: Any) -> Any:
         """Cosine of a scattering angle, from the phase function of `Air`."""
@@ -103,7 +104,7 @@ class _Shape(NamedTuple):
     end: Any
     complete: Any
     order: Any
-    weight: Any
+    log_weight: Any
 
 
 class ScatteredPath:
@@ -130,9 +131,10 @@ class ScatteredPath:
         self._scale = distance * dr.rcp(reach)
         self.detour = self._scale - distance
         self.first, self.last = self._placed(shape.first), self._placed(shape.last)
-        exponent = -(mi.Float(shape.order) + 1) * dr.log(reach)
+        # Of high orders either factor is beyond float32, their product is not.
+        exponent = shape.log_weight - (mi.Float(shape.order) + 1) * dr.log(reach)
         exponent -= medium.scattering * self._scale + medium.absorption * self.detour
-        self.weight = dr.select(shape.complete, shape.weight * dr.exp(exponent), 0)
+        self.weight = dr.select(shape.complete, dr.exp(exponent), 0)
 
     def is_clear(self, scene: Any, start: Any, active: Any) -> Any:
         """Whether no surface lies between ``start`` and the other end."""
@@ -158,7 +160,7 @@ def _drawn(medium: Medium, distance: Any, rng: Any, active: Any, passes: Any) ->
     on every segment, if given.
     """
     mi = mitsuba()
-    order, weight = medium.scatterings(distance, rng)
+    order, log_weight = medium.scatterings(distance, rng)
     active &= order <= medium.orders
     sample = mi.Point2f(rng.next_float32(), rng.next_float32())
     direction = mi.warp.square_to_uniform_sphere(sample)
@@ -176,4 +178,4 @@ def _drawn(medium: Medium, distance: Any, rng: Any, active: Any, passes: Any) ->
     if dr.hint(passes is not None, mode="scalar"):
         active &= passes(end, direction, rest, active)
     end += rest * direction
-    return _Shape(first, direction, end, active, order, weight)
+    return _Shape(first, direction, end, active, order, log_weight)

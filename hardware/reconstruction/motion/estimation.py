@@ -93,7 +93,9 @@ class Search:
 class EstimatedShift:
     """What was found: the best velocity, its gain of log-likelihood (`Search.evidence`), and
     whether it is believed. ``error_cells_per_s`` is the standard error by the likelihood's
-    curvature, down and to the right.
+    curvature, down and to the right. It holds as far as the prior of the image does, and is not
+    calibrated: in moving scenes of blobs and discs the truth was 1.3 to 2.6 of it off (root mean
+    square; up to 5.6), and 60 to 88 % were within 1.96.
     """
 
     shift: Shift
