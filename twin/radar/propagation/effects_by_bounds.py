@@ -206,7 +206,7 @@ def round_obstacles(
     return RoundObstacles(
         found.contributions,
         found.bound * loss,
-        found.left_out * loss + mirrored,
+        np.hypot(found.left_out * loss, mirrored),
         int(np.count_nonzero(found.too_large)),
         perf_counter() - began_s,
         most is None,

@@ -106,7 +106,7 @@ def echoes(
         behind.decided_by(levels),
     ):
         decisions += decided
-        left_out += missing
+        left_out = np.hypot(left_out, missing)  # by other paths each, of phases of their own
     clutter, on_clutter = surface_clutter(scene, prepared, rough, fidelity)
     of_edges = at_antenna(edges.echoes, prepared, radar)
     diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])

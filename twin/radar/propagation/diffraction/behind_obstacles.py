@@ -10,9 +10,9 @@ Which cells count, an estimate decides that needs no rays (`shadow_bounds`): the
 of a cell without obstacles, times what the edges near it may change. What is left out is told of
 every body, the root of the sum of squares of: edges so far from the straight path that their waves
 are below the faintest that are followed, which may meet facets at right angles (`unfollowed_waves`,
-times a factor for what it leaves out); the estimates of other cells, which are 4 times too large on
-the yard's car; and what cells of their size are off by. Paths over mirrors are not followed round
-obstacles.
+times a factor for what it leaves out); what cells are off by; and the estimates of cells that are
+not computed. Estimates are several times too large, by how much the cells that are computed tell.
+Paths over mirrors are not followed round obstacles.
 """
 
 from collections.abc import Callable
@@ -37,9 +37,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
-#: On waves that are not followed, and error of cells that are computed, of what these change, root
-#: of the sum of squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
-_UNFOLLOWED, _OF_CELLS = 2.0, 0.16
+#: On waves that are not followed; on echoes of cells that are left out, by what others answer over
+#: their estimate; and error of cells of what these answer, of each by itself, root of the sum of
+#: squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
+_UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.3
+_OF_CELLS = 0.16  # of the estimates of cells, at most
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
 _OF_OTHERS = 0.5  # of the error of cells: that of faint waves that are not followed for it
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
@@ -118,7 +120,7 @@ def echoes_behind(
         found = _of_body(obstacles, body, gain, accepted)
         bound[body], left_out[body], unfollowed[body] = found.bound, found.left_out, found.faint
         candidates += found.candidates
-    echoes, of_cells = _contributions(surface_of_object, candidates, accepted, left_out)
+    echoes, of_cells = _contributions(surface_of_object, candidates, gain, accepted, left_out)
     # Independent of each other.
     parts = _UNFOLLOWED * unfollowed, left_out, of_cells
     return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0), too_large)
@@ -232,15 +234,16 @@ def _finer(
 def _contributions(
     surface_of_object: NDArray[np.uint32],
     candidates: list[_Candidates],
+    gain: Callable[[Array], Array],
     accepted: Accepted,
     left_out: Array,
 ) -> tuple[Contributions, Array]:
     """Of those cells that count the most, and what these are off by, (n_bodies,); the rest is added
-    to ``left_out``.
+    to ``left_out``, and all of it is by as much too large as the estimates of these.
     """
-    of_cells = np.zeros(len(left_out))
+    estimate, level = np.zeros((2, len(left_out)))
     if not candidates:
-        return Contributions.none(), of_cells
+        return Contributions.none(), level
     over = np.concatenate([c.change / accepted.limit[c.body] for c in candidates])
     most = accepted.most
     least = -np.partition(-over, most)[most] if most < len(over) else 0.0
@@ -249,13 +252,17 @@ def _contributions(
         limit = accepted.limit[one.body]
         is_taken = _taken(one.change, limit / 4, most) & (one.change > least * limit)
         left_out[one.body] += np.linalg.norm(one.change[~is_taken])
-        changed = np.linalg.norm(one.change[is_taken])
-        error = _OF_CELLS * accepted.fineness * changed
-        of_cells[one.body] = np.hypot(of_cells[one.body], error)
         if is_taken.any():
             facets, cells = one.facets.of_cells(is_taken), one.cells.take(is_taken)
             facets = _in_small_parts(one.obstacles, facets, cells, accepted.fineness)
-            parts.append(cell_echoes(one.obstacles, facets, one.body, surface_of_object))
+            echoes, answered = cell_echoes(one.obstacles, facets, one.body, surface_of_object, gain)
+            parts.append(echoes)
+            changed = np.linalg.norm(one.change[is_taken])
+            estimate[one.body] = np.hypot(estimate[one.body], changed)
+            level[one.body] = np.hypot(level[one.body], answered)
+    ratio = np.divide(level, estimate, out=np.ones_like(level), where=estimate > 0)
+    left_out *= np.minimum(_OF_RATIO * ratio, 1.0)
+    of_cells = np.minimum(_OF_CELLS * accepted.fineness * estimate, _OF_ECHOES * level)
     return Contributions.concatenate(parts), of_cells
 
 

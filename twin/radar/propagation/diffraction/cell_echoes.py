@@ -6,6 +6,7 @@ every facet their own length, direction and knife-edge factor (`bends`): from ce
 over one edge go on without a step, which would echo by itself.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
-from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed
+from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed, sums
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
 from twin.radar.propagation.rows import dots, lengths
@@ -32,33 +33,40 @@ Indices = NDArray[np.int64]
 
 
 def cell_echoes(
-    obstacles: Screens, facets: Facets, body: int, surface_of_object: NDArray[np.uint32]
-) -> Contributions:
-    """Contributions of all facets of some cells of a body, by diffracted paths, without gains."""
+    obstacles: Screens,
+    facets: Facets,
+    body: int,
+    surface_of_object: NDArray[np.uint32],
+    gain: Callable[[Array], Array],
+) -> tuple[Contributions, float]:
+    """Contributions of all facets of some cells of a body, by diffracted paths, without gains; and
+    the root of the sum of squares of what they add to the echo of each cell, with gains.
+    """
     source = obstacles.prepared.images[0].place
     normal = facets.normal(source)
     hit = first_hit(obstacles.prepared, facets.middle, offset_m(facets.middle) * normal, source)
     is_own = (hit >= 0) & (obstacles.body[np.maximum(hit, 0)] == body)
     facets, normal, is_lit = facets.take(~is_own), normal[~is_own], hit[~is_own] < 0
     if not len(facets):
-        return Contributions.none()
+        return Contributions.none(), 0.0
     _, cell = np.unique(facets.cell, return_inverse=True)
     facets = replace(facets, cell=cell.reshape(-1))
     row = _places(facets)
     place, off = facets.middle[row], (offset_m(facets.middle) * normal)[row]
     straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
     ways, cell_is_lit = _ways(obstacles, place, off, straight, body)
-    none = Bends.none(obstacles.prepared.images[0].place, place, obstacles.wavenumber)
+    none = Bends.none(source, place, obstacles.wavenumber)
     every = np.arange(len(place))
     alone = Ways(every, straight, none, every, every, np.ones(len(place), dtype=complex))
     current = _radiated(obstacles, facets, straight.take(facets.cell), surface_of_object)
     # Facets beyond a border that divides their cell.
     step = cell_is_lit[facets.cell].astype(np.float64) - is_lit
-    parts = [
-        summed(obstacles, facets, current, ways, straight.length),
-        summed(obstacles, facets, current * step, alone, straight.length),
-    ]
-    return Contributions.concatenate(parts)
+    echoes, over_edges = summed(obstacles, facets, current, ways, straight.length)
+    beyond, straight_on = summed(obstacles, facets, current * step, alone, straight.length)
+    direct = facets.middle - source
+    added = gain(direct / lengths(direct)[:, None]) * (over_edges + straight_on)
+    level = np.linalg.norm(sums(facets.cell, added, len(place)))
+    return Contributions.concatenate([echoes, beyond]), float(level)
 
 
 def _places(facets: Facets) -> Indices:

@@ -92,11 +92,13 @@ class _Legs:
 
 def summed(
     obstacles: Screens, facets: Facets, current: Complex, ways: Ways, straight_m: Array
-) -> Contributions:
+) -> tuple[Contributions, Complex]:
     """Contributions of facets with amplitudes (n,) by all ways to their cells; those of nearly the
-    same path length as one. ``straight_m`` (n_cells,): lengths of the straight paths to the places
-    to which paths are known.
+    same path length as one. And the sum of each facet at the carrier, (n,), without the internal
+    reflections of walls. ``straight_m`` (n_cells,): lengths of the straight paths to the places to
+    which paths are known.
     """
+    total = np.zeros(len(facets), dtype=np.complex128)
     some = np.flatnonzero(current)
     some = some[np.lexsort((facets.object[some], facets.cell[some]))]
     facets, current = facets.take(some), current[some]
@@ -105,9 +107,12 @@ def summed(
     rows, size = rows[size > 0], size[size > 0]
     first = np.flatnonzero(np.diff(np.cumsum(size) // _AT_ONCE, prepend=-1))
     portions = np.split(rows, first[1:]) if len(rows) else []
-    return Contributions.concatenate(
-        [_of_ways(obstacles, facets, current, ways, some, straight_m) for some in portions]
-    )
+    parts = []
+    for portion in portions:
+        found, of_facets = _of_ways(obstacles, facets, current, ways, portion, straight_m)
+        parts.append(found)
+        total[some] += of_facets
+    return Contributions.concatenate(parts), total
 
 
 def _of_ways(
@@ -117,8 +122,10 @@ def _of_ways(
     ways: Ways,
     rows: Indices,
     straight_m: Array,
-) -> Contributions:
-    """By some of the ways, of facets sorted by cells and, in each, by objects."""
+) -> tuple[Contributions, Complex]:
+    """By some of the ways, of facets sorted by cells and, in each, by objects; and of each facet,
+    (n,), at the carrier.
+    """
     both = np.stack([ways.one[rows], ways.other[rows]])
     paths, number = np.unique(both, return_inverse=True)
     legs = _Legs.of(obstacles, facets, ways, paths, straight_m)
@@ -143,7 +150,19 @@ def _of_ways(
         way * (int(facets.object.max()) + 1) + facets.object[facet],
         obstacles.wavenumber,
     )
-    return _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
+    found = _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
+    return found, sums(facet, wave * mean * _spread(obstacles, ways, both)[way], len(facets))
+
+
+def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:
+    """Phases and spreading, (n,), of pairs of paths (2, n), out by one and back by the other, and
+    the reverse.
+    """
+    some = ways.paths.take(ends)
+    length_m = some.length + some.extra
+    waves = phasors(-(obstacles.wavenumber * length_m % (2 * np.pi))) / some.length
+    spread: Complex = np.where(ends[0] == ends[1], 1, 2) * waves.prod(axis=0)
+    return spread
 
 
 def _both_ways(
@@ -159,6 +178,12 @@ def _both_ways(
     objects, place = facets.object[every], facets.middle[every]
     motion = obstacles.prepared.motions.at(objects, place)
     return between(forward, ways.paths.take(back), total[every], motion, objects)
+
+
+def sums(owner: Indices, wave: Complex, count: int) -> Complex:
+    """Sums of waves by owner, (count,)."""
+    real, imag = (np.bincount(owner, part, count) for part in (wave.real, wave.imag))
+    return np.asarray(real + 1j * imag)
 
 
 def _binned(
@@ -186,7 +211,7 @@ def _binned(
     low = ((1 - share) * wave - moment_m / _BIN_M) * turn[lower - lowest]
     high = (share * wave + moment_m / _BIN_M) * turn[lower - lowest + 1]
     for at, part in ((number + 1, high), (number, low)):
-        total += np.bincount(at, part.real, count) + 1j * np.bincount(at, part.imag, count)
+        total += sums(at, part, count)
         row[at[::-1]] = np.arange(len(at))[::-1]
     some = np.flatnonzero(row >= 0)
     which = np.searchsorted(begin, some, side="right") - 1

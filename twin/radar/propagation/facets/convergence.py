@@ -72,8 +72,9 @@ class BodyEcho:
         return max(self.level_amplitude / self.amplitude, 1.0)
 
     def off_by(self, more: float) -> "BodyEcho":
-        """The same with an error of the model more, relative as the others."""
-        error, systematic = self.estimated_error + more, self.systematic + more
+        """The same with an error of the model more, relative and independent of the others."""
+        systematic = float(np.hypot(self.systematic, more))
+        error = self.estimated_error - self.systematic + systematic
         return replace(self, estimated_error=error, systematic=systematic)
 
     @property
