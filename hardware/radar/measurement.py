@@ -13,6 +13,10 @@ from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
+#: However strong the noise, an echo stands within a cell of its peak: without a window the error is
+#: then that of a place anywhere in one cell to either side, 0.58 cells.
+_LEAST_SNR = 0.45
+
 
 @dataclass(frozen=True, eq=False)
 class EchoMeasurement:
@@ -83,7 +87,7 @@ def echo_measurement(
 
 def with_noise(echo: EchoMeasurement, noise: ChannelNoise) -> EchoMeasurement:
     """An echo with its standard errors in other noise."""
-    before, now = echo.noise.snr(echo.amplitude), noise.snr(echo.amplitude)
+    before, now = (max(n.snr(echo.amplitude), _LEAST_SNR) for n in (echo.noise, noise))
     wider = float(np.sqrt(before / now)) if now < np.inf else 1.0
     power_error_w = noise.power_error_w(echo.amplitude)
     own_w = echo.noise.power_error_w(echo.amplitude)
@@ -103,8 +107,9 @@ def standard_errors(waveform: OfdmWaveform, window: str, snr: float) -> tuple[fl
     """
     if not snr:
         return float("inf"), float("inf")
+    told = max(snr, _LEAST_SNR)
     spread = [
-        np.sqrt(frequency_variance(normalised_window(window, n)) / snr) if n > 1 else np.nan
+        np.sqrt(frequency_variance(normalised_window(window, n)) / told) if n > 1 else np.nan
         for n in (waveform.n_subcarriers, waveform.n_slots)
     ]
     return (
