@@ -188,7 +188,7 @@ def _detections(
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
-    variance = phase_variance(echoes[0], interval) if echoes else 0.0
+    variance = phase_variance(echoes, interval)
     n_peaks = len(echoes)
     echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
     scattered = scattered_phases(burst, variance, n_peaks - len(echoes))

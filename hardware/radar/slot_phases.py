@@ -21,16 +21,41 @@ from hardware.radar.measurement import EchoMeasurement, cells_apart, standard_er
 from hardware.radar.sensitivity import side_lobe
 from hardware.radar.slot_scatter import white_variance
 from hardware.radar.windows import normalised_window
+from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+_NEAR_CELLS = 4.0  # of range, within which the window of `_over_the_echo` keeps echoes
+_STRONG = 0.01  # of the strongest echo's power
 
-def phase_variance(echo: EchoMeasurement, burst: DemodulatedBurst) -> float:
-    """Variance in rad^2 of the phases of single slots, if white, beyond noise; 0 where what is
-    seen on the echo may be noise.
+
+def phase_variance(echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst) -> float:
+    """Variance in rad^2 of the phases of single slots, if white, beyond noise, as the first of the
+    echoes, the strongest, shows them; 0 where what is seen may be noise.
     """
-    return white_variance(_over_the_echo(echo, burst))
+    if not echoes:
+        return 0.0
+    turn = _over_the_echo(echoes[0], burst)
+    return white_variance(turn / _of_echoes(turn, echoes, burst.waveform))
+
+
+def _of_echoes(turn: Complex, echoes: Sequence[EchoMeasurement], wave: OfdmWaveform) -> Complex:
+    """What the first echo and strong ones at its delay make of slots (n_rounds, n_turns), by least
+    squares: a sum of echoes is turned as a whole.
+
+    Peaks below a hundredth of the first may be its own spread, and leave few lines.
+    """
+    first, *others = echoes
+    near = cells_apart([first], others, wave)[0, :, 0] < _NEAR_CELLS
+    strong = np.array([other.power_w > _STRONG * first.power_w for other in others], dtype=bool)
+    rates = np.array([0.0, *(other.delay_rate - first.delay_rate for other in others)])
+    rates = np.nan_to_num(rates[np.append(True, near & strong)])
+    if 2 * len(rates) > len(turn):
+        rates = rates[:1]
+    lines = np.exp(-2j * np.pi * wave.carrier_hz * rates * wave.slot_times_s[:, None])
+    fitted = lines @ np.linalg.lstsq(lines, turn, rcond=None)[0]
+    return np.where(fitted == 0, 1.0, fitted)
 
 
 def _over_the_echo(echo: EchoMeasurement, burst: DemodulatedBurst) -> Complex:
