@@ -30,7 +30,7 @@ def white_variance(turn: Complex) -> float:
     parts = [(part - part.mean(axis=0)).ravel() for part in (np.angle(turn), np.log(size))]
     number = np.arange(turn.size // 2 + 1)
     # The mean of each transmitter's slots, its direction, is taken out at multiples of n_rounds.
-    fast = (number >= turn.size / (2 * max(n_turns, 2))) & (number % n_rounds != 0)
+    fast = (number >= turn.size / (2 * max(n_turns, 4))) & (number % n_rounds != 0)
     if not fast.any():
         return 0.0
     window = np.hanning(turn.size + 2)[1:-1]
