@@ -113,8 +113,8 @@ def with_spread_of_others(
     """Echoes whose noise holds what phases of slots spread of stronger ones over the rates.
 
     Receivers share it, transmitters do not. The noise measured around an echo holds a part of it,
-    which then counts twice: without this term errors of power are 1.4 to 1.9 times too small, with
-    it 0.9 to 1.3 times.
+    which then counts twice: without this term errors of power are 1.5 to 1.9 times too small, with
+    it 1.0 to 1.3 times.
     """
     if not variance:
         return list(echoes)
