@@ -54,6 +54,9 @@ class DemodulatedBurst:
         Of carrier steps, see `range_per_rate_s` and `scatter_per_rate`; with one carrier 0.
     range_error_m
         Of carrier steps, see `StitchedChannel`: in the stated error of every range.
+    removed_variance
+        In rad^2, of the phases of slots that were removed by the leakage: in the mean of its own
+        slots each transmitter keeps them.
     """
 
     channel: Complex
@@ -69,6 +72,7 @@ class DemodulatedBurst:
     range_per_rate_s: float = 0.0
     scatter_per_rate: float = 0.0
     range_error_m: float = 0.0
+    removed_variance: float = 0.0
 
 
 def demodulate(
@@ -122,10 +126,14 @@ def demodulate(
     samples = without_faults(samples, wave)
     leakage_warnings: tuple[str, ...] = ()
     seen = True
+    removed_variance = 0.0
     motion = relative_noise = mode = None
     if leakage and np.isfinite(leakage_s):
         if leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
-            samples = [with_steady_phase(step, wave, leakage_s, schedule) for step in samples]
+            steadied = [with_steady_phase(step, wave, leakage_s, schedule) for step in samples]
+            samples = [step for step, _ in steadied]
+            # Steps have phases of their own, of which an echo has the mean.
+            removed_variance = float(np.mean([part for _, part in steadied])) / len(steadied)
             if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
                 cleaned, relative_noise, mode = without_phase_noise(
                     samples[0], wave, leakage_s, schedule
@@ -183,6 +191,7 @@ def demodulate(
         range_per_rate_s=coupling_s,
         scatter_per_rate=scatter,
         range_error_m=range_error_m,
+        removed_variance=removed_variance,
     )
 
 

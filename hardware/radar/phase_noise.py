@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
+from hardware.radar.slot_scatter import scatter_more, white_variance
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 Power = NDArray[np.floating]
 
-_CHANCE = 1e-3  # probability that noise alone counts as changes of phase from slot to slot
 _RARE = 1e-9  # probability per cell that thermal noise alone counts as an echo
 _BEYOND = 8.0  # times the expected power, above which a cell contains an echo
 _LOW = 0.16  # quantile used to estimate the spread of noise
@@ -63,17 +63,18 @@ def leakage_snr(steps: Sequence[Complex], waveform: OfdmWaveform, delay_s: float
 
 def with_steady_phase(
     samples: Complex, waveform: OfdmWaveform, delay_s: float, schedule: NDArray[np.intp]
-) -> Complex:
+) -> tuple[Complex, float]:
     """Samples (n_slots, n_receivers, n_subcarriers) of a schedule's slots (n_transmitters,
     n_rounds) after removal of each slot's common phase, and of its slope within the slot, each
-    where it is more than noise and echoes make of it.
+    where it is more than noise and echoes make of it; and the variance in rad^2 of the phases
+    removed, if white, by which transmitters still differ in the mean of their slots.
 
     Separate oscillators of transmitter and receiver rotate all paths of a slot by the same phase.
     It is measured on the path at ``delay_s``, with a relative error of one over the root of its
     SNR. Noise and moving echoes change the path's amplitude as much as its phase, oscillators its
     phase alone: where the phases of slots scatter no more than the amplitudes, there is nothing to
     remove. A window excludes echoes a few range cells away from the phase. The part that all slots
-    of a transmitter have in common is not removed.
+    of a transmitter have in common is not removed: the phase of its own leakage is unknown.
     """
     n, samples = waveform.n_subcarriers, samples[: schedule.size]
     path = (
@@ -88,9 +89,11 @@ def with_steady_phase(
     level /= np.maximum(np.sum(np.abs(level) ** 2, axis=1, keepdims=True), 1e-300)
     turn = np.sum(share * level, axis=1)
     if not np.all(turn):
-        return samples
+        return samples, 0.0
     size = np.abs(turn)
     is_turned = _scatters_more(np.angle(turn), size)
+    in_time = schedule[np.argsort(schedule[:, 0])].T
+    removed = white_variance(turn[in_time].astype(np.complex128)) if is_turned else 0.0
     turn = turn.conj() / size if is_turned else np.ones_like(turn)
     path = _leak(waveform, delay_s, np.ones(n)).conj().astype(samples.dtype)
     path *= turn.dtype.type(n)
@@ -102,22 +105,13 @@ def with_steady_phase(
     elif is_turned:
         turn = turn[:, None]
     else:
-        return samples
-    return np.asarray(samples * turn.astype(samples.dtype)[:, None])
+        return samples, 0.0
+    return np.asarray(samples * turn.astype(samples.dtype)[:, None]), removed
 
 
 def _scatters_more(phase: Array, amplitude: Array) -> bool:
     """Whether phases of slots scatter more than amplitudes do."""
     return scatter_more(float(np.var(phase)), float(np.var(amplitude)), len(phase) - 1)
-
-
-def scatter_more(of_phase: float, of_amplitude: float, free: int) -> bool:
-    """Whether a variance of phases is beyond that of amplitudes, each of so many degrees of
-    freedom, by an F-test.
-    """
-    from scipy.special import fdtri
-
-    return bool(free and of_phase > fdtri(free, free, 1 - _CHANCE) * of_amplitude)
 
 
 def _slopes(relative: Complex, time: Array) -> tuple[Array, Array]:

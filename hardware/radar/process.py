@@ -40,6 +40,7 @@ from hardware.radar.slot_phases import (
     phase_variance,
     with_phases_of_turns,
     with_rate_error,
+    with_spread_of_others,
     without_spread,
 )
 from hardware.radar.superresolution import split_targets
@@ -187,7 +188,7 @@ def _detections(
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
-    variance = phase_variance(echoes[0], interval) if echoes else 0.0
+    variance = phase_variance(echoes, interval)
     n_peaks = len(echoes)
     echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
     scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
@@ -204,6 +205,7 @@ def _detections(
     echoes = echoes[: how.at_most]
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
+    echoes = with_spread_of_others(echoes, interval, variance)
     cells = [_points(echo, interval, how.per_cell, variance) for echo in echoes]
     points = [point for cell, _ in cells for point in cell]
     if len(points) > len(cells):
