@@ -65,7 +65,7 @@ def test_a_post_dims_the_wall_behind_it(post_m: float, width_m: float) -> None:
 def test_among_many_edges_the_integral_is_coarser(
     monkeypatch, post_m: float, width_m: float
 ) -> None:
-    """A sixteenth of the points where edges are too many for all of them; it had been all or nothing,
+    """A sixteenth of the points where edges are too many for all of them. It had been all or none,
     with a warning.
     """
     monkeypatch.setattr(mirrors, "_MOST_PAIRS", 2**14)
