@@ -163,7 +163,7 @@ def test_metadata_and_gaps_are_told() -> None:
 )
 def test_bad_answers_are_refused(change, says: str) -> None:
     with (
-        opened(misbehaving(burst=change), timeout_s=0.3) as (_, radio),
+        opened(misbehaving(burst=change), timeout_s=1.5) as (_, radio),
         pytest.raises(RadioError, match=says),
     ):
         burst(radio)
