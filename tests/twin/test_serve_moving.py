@@ -206,10 +206,11 @@ def test_a_run_that_was_waited_for_in_vain_goes_on(monkeypatch: pytest.MonkeyPat
     assert runs(other, 80.0).begins_s == 80.0
     (only,) = Requested.made
     assert only.runs == [(SYSTEM, 0.0), (SYSTEM, 30.0), (other, 60.0), (other, 80.0)]
+    assert runs(other, 141.0).begins_s == 141.0  # a host that comes back after a minute
     only.has_died = True
-    next(runs(other, 90.0))
-    assert runs(other, 100.0).begins_s == 100.0
-    assert [each.runs[-1] for each in Requested.made] == [("closed",), (other, 100.0)]
+    next(runs(other, 150.0))
+    assert runs(other, 160.0).begins_s == 160.0
+    assert [each.runs[-1] for each in Requested.made] == [("closed",), (other, 160.0)]
 
 
 @pytest.mark.thorough

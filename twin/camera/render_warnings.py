@@ -151,10 +151,11 @@ def lost_orders_warnings(share: float, orders: int) -> list[CaptureWarning]:
     """Light that the air scatters more than ``orders`` times, as a share of the computed light."""
     if share < _WORTH_SAYING:
         return []
+    more = f"{100 * share:.2g} % more" if share < 10 else f"{share:.1g} times the"
     text = (
         f"light that the air scatters more than {orders} times on the way to a surface or back is "
-        f"left out: some {100 * share:.2g} % more light, as before a wall at the mean distance; "
-        "raise fidelity.air_orders"
+        f"left out: some {more} light, as before a wall at the mean distance; raise "
+        "fidelity.air_orders"
     )
     return [CaptureWarning("rendering", text)]
 

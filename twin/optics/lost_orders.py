@@ -19,6 +19,7 @@ _WALKS = 12_000
 _SEGMENTS = 300  # after which a walk is given up
 _AWAY = 6.0  # distances of the wall, beyond which light no longer comes to what is seen
 _BOUNCES = 8
+_MOST_LOST = 1e9  # of the light that is followed: where no walk has so few orders, it says nothing
 #: Optical depth per order that is followed, less the forward peak, below which less than 0.1 % is
 #: lost; and the share of the depth that counts however far forward the air scatters.
 _THIN, _LEAST = 1 / 24, 1 / 6
@@ -58,7 +59,8 @@ def lost_orders_share(
     back = _walk(air, distance_m, tan_half_field, reflectance, 1, orders, rng)
     areas = np.diff(_RINGS**2)
     followed = float(np.sum(there.followed * back.followed / areas))
-    return float(np.sum(there.all * back.all / areas)) / followed - 1 if followed else np.inf
+    every = float(np.sum(there.all * back.all / areas))
+    return min(every / followed - 1, _MOST_LOST) if followed else _MOST_LOST
 
 
 def _walk(

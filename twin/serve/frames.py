@@ -12,6 +12,7 @@ from twin.serve.prefetcher import Prefetcher
 from twin.system import System
 
 _LOOK_S = 0.1
+_OLD_S = 60.0  # of a frame that is still waited for: some six times what a host's driver waits
 
 
 class _Frames:
@@ -95,10 +96,12 @@ class FramesOfRuns:
         run before end.
 
         After a run of the same system of which no frame came its frames go on, though they begin
-        earlier: a host that gives up waiting and starts the camera anew would wait forever.
+        up to `_OLD_S` earlier: a host that gives up waiting and starts the camera anew would wait
+        forever.
         """
         asked = pickle.dumps(system)
-        if asked == self._system and self._frames.none_came:
+        is_recent = begins_s - self._frames.begins_s < _OLD_S
+        if asked == self._system and self._frames.none_came and is_recent:
             return self._frames
         self._system = asked
         if not self._frames.begin_again(system, begins_s):

@@ -36,7 +36,9 @@ Array = NDArray[np.float64]
 _IN_PLANE = 1e-6  # of the distance: by which corners of a flat patch are off its plane
 #: Of the way to a mirror: where rays end before it, and behind its border.
 BEFORE_MIRROR, _BEYOND = 1 - 1e-4, 1 + 1e-4
-_FAR_OFF = 0.3  # of the distance to a mirror: from which on obstacles cast soft shadows on it
+#: Of the distance to a mirror: from which on obstacles cast soft shadows on it; and the least share
+#: of the spacing where these are sharper.
+_FAR_OFF, _FINEST = 0.3, 0.3
 _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that labels stand before
 #: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
 #: the limit.
@@ -47,18 +49,17 @@ _ALL = 2**30  # a number that no body has: points of one group, whose obstacles 
 @dataclass(frozen=True)
 class _Grid:
     """Points of the integral, in radii of the first Fresnel zone on the mirror: how far it goes,
-    over how much it fades out, the spacing, and the least share of it where shadows are sharper.
+    over how much it fades out, and their spacing.
     """
 
     reach: float
     fade: float
     spacing: float
-    finest: float
 
     def points(self, finer: float) -> tuple[Array, Array]:
         """Places from the foot, (n,) each, with a spacing of this share."""
         farthest = self.reach + 3 * self.fade
-        spacing = self.spacing * max(finer, self.finest)
+        spacing = self.spacing * finer
         half = int(farthest / spacing)
         steps = np.arange(-half, half + 1) * spacing
         u, v = (part.ravel() for part in np.meshgrid(steps, steps))
@@ -69,7 +70,7 @@ class _Grid:
 #: 1e-4 off where obstacles stand no nearer to the mirror than three tenths of its distance; and the
 #: one where edges are too many for it, with which 23 strips before a mirror were off by 0.02 in the
 #: median and by 0.11 at worst (`test_radar_mirror_borders`: 0.002 and 0.03 with the fine one).
-_FINE, _COARSE = _Grid(3.0, 0.6, 0.1, 0.3), _Grid(1.5, 0.5, 0.25, 0.3)
+_FINE, _COARSE = _Grid(3.0, 0.6, 0.1), _Grid(1.5, 0.5, 0.25)
 
 
 def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> DiffractedPaths:
@@ -125,7 +126,7 @@ def passed_twice(obstacles: Screens, flat: Flat) -> complex | None:
     if not is_near_edges(obstacles, alone, foot, zone_m, _ALL):
         return None
     off = np.abs((obstacles.boxes - flat.point) @ flat.normal).min()
-    finer = float(np.sqrt(off / distance_m / _FAR_OFF).clip(max=1))
+    finer = float(np.clip(np.sqrt(off / distance_m / _FAR_OFF), _FINEST, 1))
     axes = [axis[0] for axis in in_plane(flat.normal[None])]
     for grid in (_FINE, _COARSE):
         u, v = grid.points(finer)
