@@ -110,6 +110,7 @@ class VirtualCamera:
     ) -> None:
         self.system, self.clock, self.send = system, clock, send
         self._sun, self._records, self._overrun = sun, records, overrun
+        self._has_told_computing = False
         chain = Chain.of(system, sun)
         self._adc_bits = chain.front_end.adc_bits
         self._n_shutters = len(chain.shutters)
@@ -189,8 +190,6 @@ class VirtualCamera:
                 "%s: frame %d is due for %.3g s and still being computed; it is sent late",
                 *(self.system.name, run.set, now_s - run.waits_since_s),
             )
-
-    _has_told_computing = False
 
     def _warn_late(self, run: _CameraRun) -> None:
         """Tell once in a run that records come later than they were measured."""
