@@ -239,6 +239,13 @@ def test_errors_count_against_the_least_level() -> None:
     assert [body.estimated_error for body in noisy] == pytest.approx([0.153, 0.153])
 
 
+def test_what_is_left_out_by_unlike_paths_adds_by_its_squares() -> None:
+    """Phases of their own: 0.3 and 0.4 make 0.5, beside the error of what was computed."""
+    body = BodyEcho(("a",), 0.0, 0.35, 0.1, systematic=0.3).off_by(0.4)
+    assert body.systematic == pytest.approx(0.5)
+    assert body.estimated_error == pytest.approx(0.55)
+
+
 def test_of_a_track_the_worst_burst_is_named() -> None:
     def burst(*errors: float) -> Propagation:
         bodies = tuple(
