@@ -335,9 +335,7 @@ def test_light_of_orders_beyond_the_last_is_a_systematic_error_and_warned_of(
 
 def test_air_in_which_every_path_has_more_orders_leaves_errors_finite(tmp_path: Path) -> None:
     """An optical depth of 39, through which none of the walks comes within 12 orders."""
-    thick = (
-        '[weather]\nvisibility_m = "1 m"\nsingle_scattering_albedo = 1.0\nasymmetry = 0.0\n'
-    )
+    thick = '[weather]\nvisibility_m = "1 m"\nsingle_scattering_albedo = 1.0\nasymmetry = 0.0\n'
     system = foggy(tmp_path, thick).with_(
         {"emitter.rows": 4, "emitter.columns": 4, "acquisition.n_patterns": 16}
     )
