@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from twin.scene import SceneObject
 
@@ -21,11 +22,12 @@ Flags = NDArray[np.bool_]
 
 _TRIANGLE_M = 1.4e-3  # at 79 GHz less than half a wavelength
 _FINER = 14  # of triangles that a border divides, for the hard shadow
-_PIECE_M = 5e-3  # of the rim, with 4 points each
+_PIECE = 1.25  # of the rim, with 4 points each, over what is near
 _AT_ONCE = 200  # places
 #: Nearer to a border the rim's integrand is too sharp: the field, which is smooth across it, is
-#: interpolated between places so many times as far away.
-_NEAR_M, _BESIDE = 4e-3, np.array([-4.5, -3.0, -1.5, 1.5, 3.0, 4.5])
+#: interpolated between places so many times as far away, none near the border across.
+_NEAR_M, _OF_WIDTH = 4e-3, 1 / 7
+_BESIDE = np.array([-4.5, -3.0, -1.5, 1.5, 3.0, 4.5])
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,16 @@ def echo_behind(
     triangle_m: float = _TRIANGLE_M,
     field_at: Callable[[Array], Complex] | None = None,
 ) -> Echo:
-    """Of a closed convex body behind screens, each of four corners (4, 3) in a plane; ``gain`` of
-    directions (n, 3), in amplitude there and back; ``field_at`` places (n, 3) over the straight
-    wave, in place of the product of the screens' own.
+    """Of a closed convex body behind screens, each of four corners (4, 3), all in one plane;
+    ``gain`` of directions (n, 3), in amplitude there and back; ``field_at`` places (n, 3) over the
+    straight wave, where screens are not in one plane.
     """
     corners = _front(body)
     parts = _divided(corners, triangle_m)
     wave = _waves(parts, wavenumber, gain)
     middle, is_lit = parts.mean(axis=1), np.ones(len(parts), dtype=bool)
     if field_at is None:
-        field = np.prod([field_behind(s, middle, wavenumber) for s in screens], axis=0)
+        field = 1 - sum(1 - field_behind(s, middle, wavenumber) for s in screens)  # Babinet
     else:
         field = field_at(middle)
     mixed = np.zeros(len(parts), dtype=bool)
@@ -73,22 +75,47 @@ def echo_behind(
 
 def field_behind(screen: Array, places: Array, wavenumber: float) -> Complex:
     """Over the straight wave, at places (n, 3) that are not in the screen's plane."""
-    field = _by_rim(screen, places, wavenumber)
+    width = min(float(np.linalg.norm(screen[n] - screen[0])) for n in (1, 3))
+    beyond = float(np.linalg.norm(places, axis=1).min() / np.linalg.norm(screen, axis=1).max())
+    near_m = min(_NEAR_M, _OF_WIDTH * width * beyond)
+    field = _by_rim(screen, places, wavenumber, _PIECE * near_m)
     across = np.cross(screen[1] - screen[0], screen[3] - screen[0])
     met = places * ((screen[0] @ across) / (places @ across))[:, None]
     for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
         normal = np.cross(begin, end) / np.linalg.norm(np.cross(begin, end))
         length = float(np.linalg.norm(end - begin))
         off, at = places @ normal, (met - begin) @ (end - begin) / length
-        near = np.flatnonzero((np.abs(off) < _NEAR_M) & (at > -_NEAR_M) & (at < length + _NEAR_M))
-        nodes, total = _NEAR_M * _BESIDE, np.zeros(len(near), dtype=complex)
+        near = np.flatnonzero((np.abs(off) < near_m) & (at > -near_m) & (at < length + near_m))
+        nodes, total = near_m * _BESIDE, np.zeros(len(near), dtype=complex)
         for number, node in enumerate(nodes):
             others = np.delete(nodes, number)
             weight = np.prod((off[near, None] - others) / (node - others), axis=1)
             moved = places[near] + (node - off[near])[:, None] * normal
-            total += weight * _by_rim(screen, moved, wavenumber)
+            total += weight * _by_rim(screen, moved, wavenumber, _PIECE * near_m)
         field[near] = total
     return field
+
+
+def interpolated(
+    field: Callable[[Array], Complex], center: Array, half_m: float, shape: tuple[int, int, int]
+) -> Callable[[Array], Complex]:
+    """A field over the straight wave to within a distance of a center, from a grid of so many
+    places, at least 4 each, along the straight wave and across it.
+    """
+    axes = [np.linspace(-half_m, half_m, count) for count in shape]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    share = 1 + x / center[0]
+    places = np.stack([center[0] + x, (center[1] + y) * share, (center[2] + z) * share], axis=-1)
+    every = field(places.reshape(-1, 3)).reshape(shape)
+    between = RegularGridInterpolator(axes, every, method="cubic")
+
+    def field_at(targets: Array) -> Complex:
+        share = targets[:, :1] / center[0]
+        off = targets / share - center
+        off[:, 0] = targets[:, 0] - center[0]
+        return np.asarray(between(off))
+
+    return field_at
 
 
 def hides(screen: Array, places: Array) -> Flags:
@@ -102,11 +129,11 @@ def hides(screen: Array, places: Array) -> Flags:
     return np.asarray(inside & (share > 0) & (share < 1))
 
 
-def _by_rim(screen: Array, places: Array, wavenumber: float) -> Complex:
+def _by_rim(screen: Array, places: Array, wavenumber: float, piece_m: float) -> Complex:
     """1 less the field behind a hole of the screen's shape: that of geometrical optics and of the
     rim.
     """
-    at, along = _rim(screen)
+    at, along = _rim(screen, piece_m)
     there = np.linalg.norm(at, axis=1)
     unit = at / there[:, None]
     rim = np.empty(len(places), dtype=complex)
@@ -123,12 +150,12 @@ def _by_rim(screen: Array, places: Array, wavenumber: float) -> Complex:
     return np.asarray(1 - hides(screen, places) - rim)
 
 
-def _rim(screen: Array) -> tuple[Array, Array]:
+def _rim(screen: Array, piece_m: float) -> tuple[Array, Array]:
     """Points (n, 3) along it, and what each stands for, as vectors along the rim."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     places, along = [], []
     for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
-        n = max(int(np.ceil(np.linalg.norm(end - begin) / _PIECE_M)), 2)
+        n = max(int(np.ceil(np.linalg.norm(end - begin) / piece_m)), 2)
         at = ((np.arange(n)[:, None] + (nodes + 1) / 2) / n).ravel()
         places.append(begin + at[:, None] * (end - begin))
         along.append(np.tile(weights / 2 / n, n)[:, None] * (end - begin))

@@ -1,10 +1,10 @@
 """Echoes round obstacles: what the solver states as their error, and what it is.
 
-In random scenes, boxes and balls behind rectangular screens, the truth is Kirchhoff's field by
-brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens, one behind the
-other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`). On the yard and the street
-it are cells of half the size, of which none is left out, and shadows followed to 45 dB: the solver
-itself, finer, which says less. Bodies that stand alone are left out.
+In random scenes, boxes and balls behind a rectangular screen or a fence of many posts, the truth is
+Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
+one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`). On the yard
+and the street it are cells of half the size, of which none is left out, and shadows followed to 45
+dB: the solver itself, finer, which says less. Bodies that stand alone are left out.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from benchmarks.kirchhoff import echo_behind
+from benchmarks.kirchhoff import echo_behind, field_behind, interpolated
 from benchmarks.radar_estimates import scene_of_objects, thing
 from benchmarks.screens_in_depth import Rectangle, field_around
 from benchmarks.timing import Figure
@@ -37,13 +37,16 @@ from twin.scene import Scene, SceneObject, load_scene
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Field = Callable[[Array], Complex]
 
 _RANDOM = 24  # scenes
 _KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screens
 _OF_A_KIND = 20
+_FENCES = 24
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
 _NOTHING = 1e-9  # of a body's level
 _PERMITTED = 0.01  # of a body's level: a tenth of the tolerance
+_BETWEEN_M = 2.5e-3  # places between which the field behind a plane is interpolated
 _OFFSETS_HZ = np.array([-1.5e9, 0.0, 1.5e9])  # from the carrier
 
 
@@ -66,6 +69,8 @@ def figures() -> Iterator[Figure]:
     random = [random_scene(np.random.default_rng(seed)) for seed in range(_RANDOM)]
     named = {f"random {seed}": scene for seed, scene in enumerate(random)}
     yield from _told("by brute force", named, against_brute_force, radar)
+    named = {f"fence {seed}": behind_fence(seed) for seed in range(_FENCES)}
+    yield from _told("by brute force, fences", named, against_brute_force, radar)
     two = {f"{kind} {seed}": kind for kind in _KINDS for seed in range(_OF_A_KIND)}
     named = {name: behind_two_screens(kind, int(name.split()[1])) for name, kind in two.items()}
     yield from _told("by the double integral", named, against_brute_force, radar)
@@ -176,12 +181,13 @@ def against_brute_force(name: str, scene: Scene, radar: RadarDesign) -> Iterator
     if solved.own[k] == 0:
         return
     told, stated = solved.by_default()
-    frequencies_hz = radar.ofdm.carrier_hz + (_OFFSETS_HZ if len(obstacles) == 1 else np.zeros(1))
+    screens = [corners for item in obstacles for corners in item.vertices_m.reshape(-1, 4, 3)]
+    is_deep = np.ptp([corners[:, 0] for corners in screens]) > 0
+    frequencies_hz = radar.ofdm.carrier_hz + (np.zeros(1) if is_deep else _OFFSETS_HZ)
     echo = solved.over_band(told, frequencies_hz)
     truth = []
     for wavenumber in (2 * np.pi * frequencies_hz / speed_of_light).tolist():
-        screens = [item.vertices_m for item in obstacles]
-        field_at = _behind_both(body, screens, wavenumber) if len(screens) == 2 else None
+        field_at = (_behind_both if is_deep else _behind_plane)(body, screens, wavenumber)
         wave = echo_behind(body, screens, wavenumber, solved.gain, field_at=field_at)
         truth.append(_over_integral(radar) * (wave.whole - wave.lit))
     yield Compared(
@@ -193,16 +199,27 @@ def against_brute_force(name: str, scene: Scene, radar: RadarDesign) -> Iterator
     )
 
 
-def _behind_both(
-    body: SceneObject, screens: list[Array], wavenumber: float
-) -> Callable[[Array], Complex]:
+def _behind_both(body: SceneObject, screens: list[Array], wavenumber: float) -> Field:
     """The field at places on a body, by Kirchhoff's integral over the planes of both."""
     rectangles: list[Rectangle] = [
         (float(s[0, 0]), (s[0, 1], s[2, 1]), (s[0, 2], s[2, 2])) for s in screens
     ]
+    return field_around(rectangles, *_around(body), wavenumber)
+
+
+def _behind_plane(body: SceneObject, screens: list[Array], wavenumber: float) -> Field:
+    """Behind screens in one plane, by Babinet's principle."""
+
+    def field(places: Array) -> Complex:
+        return 1 - sum((1 - field_behind(s, places, wavenumber) for s in screens), start=0j)
+
+    center, half_m = _around(body)
+    return interpolated(field, center, half_m, (5, int(2 * half_m / _BETWEEN_M), 17))
+
+
+def _around(body: SceneObject) -> tuple[Array, float]:
     low, high = body.vertices_m.min(axis=0), body.vertices_m.max(axis=0)
-    half_m = 0.6 * float(np.linalg.norm(high - low))
-    return field_around(rectangles, (low + high) / 2, half_m, wavenumber)
+    return (low + high) / 2, 0.6 * float(np.linalg.norm(high - low))
 
 
 @cache
@@ -252,6 +269,30 @@ def _random_body(rng: np.random.Generator) -> tuple[trimesh.Trimesh, float]:
         mesh = trimesh.creation.box(size * rng.uniform(0.5, 1.5, 3))
         mesh.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
     return mesh, size
+
+
+def behind_fence(seed: int) -> Scene:
+    """A box or a ball behind upright posts, evenly spaced or not, of one mesh or of many."""
+    rng = np.random.default_rng([seed, 11])
+    near, gap = rng.uniform(3.0, 8.0), np.exp(rng.uniform(np.log(0.5), np.log(6.0)))
+    count, pitch = int(rng.integers(3, 32)), np.exp(rng.uniform(np.log(0.03), np.log(0.15)))
+    wide = pitch * rng.uniform(0.25, 0.7)
+    place = (np.arange(count) - (count - 1) / 2 + rng.uniform(-0.5, 0.5)) * pitch
+    if rng.random() < 0.5:
+        place += rng.uniform(-0.5, 0.5, count) * (pitch - wide)
+    low, high = rng.uniform(0.1, 0.5, 2)
+    sides = np.array([[-wide, -2 * low], [wide, -2 * low], [wide, 2 * high], [-wide, 2 * high]]) / 2
+    corners = np.array([[[near, y + a, b] for a, b in sides] for y in place])
+    mesh, _ = _random_body(rng)
+    center = [near + gap, rng.uniform(-0.1, 0.1), rng.uniform(-0.08, 0.08)]
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    objects = [thing("body", mesh.vertices + center, mesh.faces)]
+    if rng.random() < 0.5:
+        every = np.concatenate([faces + 4 * n for n in range(count)])
+        objects.append(thing("fence", corners.reshape(-1, 3), every))
+    else:
+        objects += [thing(f"post {n}", post, faces) for n, post in enumerate(corners)]
+    return scene_of_objects(objects)
 
 
 def behind_two_screens(kind: str, seed: int) -> Scene:

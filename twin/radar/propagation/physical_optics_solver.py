@@ -61,6 +61,7 @@ MOST_ECHO_PATHS = 2**20
 #: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
 #: done after eight minutes: then `MOST_ECHO_PATHS` is the limit.
 MOST_PATHS_BY_HAND = 2**24
+_UNSURE_MIRROR = 0.1  # of a mirror's free echo: error by edges before it that is warned of
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
 
@@ -250,15 +251,25 @@ def _mirrors(
     wavenumber = 2 * np.pi / prepared.wavelength_m
     further = _heard_mirrors(prepared.seen_by_itself(farthest(faintest) / wavenumber), radar)
     obstacles = _before_mirrors(scene, radar, roles, fidelity)
-    traced, crowded = mirror_echoes(further, obstacles, faintest)
-    warned: tuple[str, ...] = ()
-    if crowded:
-        warned = (
-            f"the specular echo of {', '.join(dict.fromkeys(crowded))} may be wholly present or "
-            "missing: more edges stand near its ray than are computed; its level is not to be "
-            "relied on",
+    traced, off = mirror_echoes(further, obstacles, faintest)
+    return *_paths(further, radar, traced, [None], [()]), _behind_edges(off)
+
+
+def _behind_edges(off: dict[str, float]) -> tuple[str, ...]:
+    """Warnings of mirrors' echoes that edges before them leave uncertain, of the free echo."""
+    unknown = [name for name, error in off.items() if np.isinf(error)]
+    told: tuple[str, ...] = ()
+    if unknown:
+        told = (
+            f"the specular echo of {', '.join(unknown)} may be wholly present or missing: more "
+            "edges stand near its ray than are computed; its level is not to be relied on",
         )
-    return *_paths(further, radar, traced, [None], [()]), warned
+    return told + tuple(
+        f"the specular echo of {name} may be off by {error:.2g} of what it were without the edges "
+        "before it: they are many, or stand far aside"
+        for name, error in off.items()
+        if _UNSURE_MIRROR < error < np.inf
+    )
 
 
 def _heard_mirrors(prepared: PreparedScene, radar: RadarDesign) -> PreparedScene:

@@ -38,9 +38,10 @@ _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 def mirror_echoes(
     prepared: PreparedScene, obstacles: Screens | None = None, faintest: float = 0.0
-) -> tuple[Contributions, list[str]]:
-    """Echoes of the radar's own mirror images: amplitude per wavelength, no object; and the mirrors
-    before which too many edges stand: what these do is left out.
+) -> tuple[Contributions, dict[str, float]]:
+    """Echoes of the radar's own mirror images: amplitude per wavelength, no object; and by how much
+    those of mirrors behind edges may be off, of the echo without these; inf where edges are too
+    many: what they do is left out.
 
     Over images of any order: wall, wall and ground, and so on. The image in a right-angled corner
     lies exactly behind the corner, at the border between both sequences of its mirrors: each counts
@@ -50,9 +51,10 @@ def mirror_echoes(
     of an echo, and what ``obstacles`` do, which are of the scene without large surfaces.
     """
     if prepared.context.n_sources == 1:
-        return Contributions.none(), []
+        return Contributions.none(), {}
     echoes, share = _whole_mirrors(prepared.context)
-    parts, factor, crowded = [], share.astype(np.complex128), []
+    parts, factor = [], share.astype(np.complex128)
+    off: dict[str, float] = {}
     for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
         if len(image.patches) > 1:
             continue
@@ -60,16 +62,17 @@ def mirror_echoes(
         factor[row] = _lit(border, factor[row])
         flat = prepared.flats[image.patches[0]]
         passed = None if obstacles is None else passed_twice(obstacles, flat)
-        if passed is not None and np.isnan(passed):
-            crowded.append(prepared.items[flat.object].name)
-        elif passed is not None:
-            factor[row] = passed * _is_met(prepared, image)
-            border = replace(border, amplitude=border.amplitude * passed)
+        if passed is not None:
+            name = prepared.items[flat.object].name
+            off[name] = max(passed.off, off.get(name, 0.0))
+        if passed is not None and np.isfinite(passed.off):
+            factor[row] = passed.factor * _is_met(prepared, image)
+            border = replace(border, amplitude=border.amplitude * passed.factor)
         parts.append(_over_border(echoes.take(np.full(len(border.point), row)), border, prepared))
     some = np.flatnonzero(factor)
     whole = echoes.take(some)
     whole = replace(whole, amplitude=whole.amplitude * factor[some])
-    return Contributions.concatenate([whole, *parts]), crowded
+    return Contributions.concatenate([whole, *parts]), off
 
 
 def _lit(border: DiffractedPaths, share: complex) -> complex:

@@ -38,12 +38,12 @@ Indices = NDArray[np.int64]
 
 _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: On waves that are not followed; on echoes of cells that are left out, by what others answer over
-#: their estimate; and error of cells of what these answer, of each by itself, root of the sum of
-#: squares: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
+#: their estimate; and share by which each wave to a cell may be off, root of the sum of squares:
+#: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
 _UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.3
-_OF_CELLS = 0.16  # of the estimates of cells, at most
+_OF_CELLS = 0.3  # of the estimates of cells, at most
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
-_OF_OTHERS = 0.5  # of the error of cells: that of faint waves that are not followed for it
+_OF_OTHERS = 0.27  # of the error of cells: that of faint waves that are not followed for it
 _COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
 _FINEST_M = 0.01  # cells
 _MOST_PAIRS = 1e8  # of coarse cells of all bodies and edges: some 10 s

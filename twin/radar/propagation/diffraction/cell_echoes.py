@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
+_FAINT_PAIRS = 0.1  # of the faintest single path: pairs of paths; behind a fence many add up
+
 
 def cell_echoes(
     obstacles: Screens,
@@ -40,7 +42,8 @@ def cell_echoes(
     gain: Callable[[Array], Array],
 ) -> tuple[Contributions, float]:
     """Contributions of all facets of some cells of a body, by diffracted paths, without gains; and
-    the root of the sum of squares of what they add to the echo of each cell, with gains.
+    the root of the sum of squares of how much the echo of each cell, with gains, changes with each
+    of the paths to it.
     """
     source = obstacles.prepared.images[0].place
     normal = facets.normal(source)
@@ -63,10 +66,23 @@ def cell_echoes(
     step = cell_is_lit[facets.cell].astype(np.float64) - is_lit
     echoes, over_edges = summed(obstacles, facets, current, ways, straight.length)
     beyond, straight_on = summed(obstacles, facets, current * step, alone, straight.length)
-    direct = facets.middle - source
-    added = gain(direct / lengths(direct)[:, None]) * (over_edges + straight_on)
-    level = np.linalg.norm(sums(facets.cell, added, len(place)))
+    of_paths = _of_paths(ways, over_edges, straight_on)
+    level = np.linalg.norm(gain(-straight.back)[ways.cell] * of_paths)
     return Contributions.concatenate([echoes, beyond]), float(level)
+
+
+def _of_paths(ways: Ways, over_edges: Complex, beyond: Complex) -> Complex:
+    """By how much an echo changes over how much each path over edges does, (n_paths,): by all ways
+    that take it, there and back. What lies ``beyond`` a border in a cell, (n_cells,), continues the
+    strongest.
+    """
+    both = np.concatenate([ways.one, ways.other])
+    found = sums(both, np.tile(over_edges, 2), len(ways.cell))
+    found[ways.paths.over < 0] = 0
+    order = np.lexsort((np.abs(found), ways.cell))[::-1]
+    cells, strongest = np.unique(ways.cell[order], return_index=True)
+    found[order[strongest]] += beyond[cells]
+    return found
 
 
 def _places(facets: Facets) -> Indices:
@@ -93,7 +109,7 @@ def _ways(
     one, other = matching_pairs(at, at)
     one, other = one[one <= other], other[one <= other]
     two_way = share[one] * share[other]
-    is_kept = is_strong(np.abs(two_way), 0 * one, obstacles.faintest)
+    is_kept = is_strong(np.abs(two_way), 0 * one, _FAINT_PAIRS * obstacles.faintest)
     is_kept &= (paths.over[one] >= 0) | (paths.over[other] >= 0)
     is_lit = np.zeros(len(place), dtype=bool)
     is_lit[at[paths.over < 0]] = True

@@ -94,11 +94,11 @@ def summed(
     obstacles: Screens, facets: Facets, current: Complex, ways: Ways, straight_m: Array
 ) -> tuple[Contributions, Complex]:
     """Contributions of facets with amplitudes (n,) by all ways to their cells; those of nearly the
-    same path length as one. And the sum of each facet at the carrier, (n,), without the internal
-    reflections of walls. ``straight_m`` (n_cells,): lengths of the straight paths to the places to
-    which paths are known.
+    same path length as one. And the sum over each way at the carrier, (n_ways,), without the
+    internal reflections of walls. ``straight_m`` (n_cells,): lengths of the straight paths to the
+    places to which paths are known.
     """
-    total = np.zeros(len(facets), dtype=np.complex128)
+    total = np.zeros(len(ways.one), dtype=np.complex128)
     some = np.flatnonzero(current)
     some = some[np.lexsort((facets.object[some], facets.cell[some]))]
     facets, current = facets.take(some), current[some]
@@ -109,9 +109,8 @@ def summed(
     portions = np.split(rows, first[1:]) if len(rows) else []
     parts = []
     for portion in portions:
-        found, of_facets = _of_ways(obstacles, facets, current, ways, portion, straight_m)
+        found, total[portion] = _of_ways(obstacles, facets, current, ways, portion, straight_m)
         parts.append(found)
-        total[some] += of_facets
     return Contributions.concatenate(parts), total
 
 
@@ -123,8 +122,8 @@ def _of_ways(
     rows: Indices,
     straight_m: Array,
 ) -> tuple[Contributions, Complex]:
-    """By some of the ways, of facets sorted by cells and, in each, by objects; and of each facet,
-    (n,), at the carrier.
+    """By some of the ways, of facets sorted by cells and, in each, by objects; and of each way, at
+    the carrier.
     """
     both = np.stack([ways.one[rows], ways.other[rows]])
     paths, number = np.unique(both, return_inverse=True)
@@ -151,7 +150,7 @@ def _of_ways(
         obstacles.wavenumber,
     )
     found = _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
-    return found, sums(facet, wave * mean * _spread(obstacles, ways, both)[way], len(facets))
+    return found, sums(way, wave * mean, len(rows)) * _spread(obstacles, ways, both)
 
 
 def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:
