@@ -40,7 +40,7 @@ _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: On waves that are not followed; on echoes of cells that are left out, by what others answer over
 #: their estimate; and share by which each wave to a cell may be off, root of the sum of squares:
 #: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
-_UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.3
+_UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.35
 _OF_CELLS = 0.3  # of the estimates of cells, at most
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
 _OF_OTHERS = 0.27  # of the error of cells: that of faint waves that are not followed for it
