@@ -9,6 +9,7 @@ from twin.camera.mounting import field_points
 from twin.camera.truth import Truth, depths
 from twin.optics.backscatter import airlight, backscatter
 from twin.optics.emission import emission_matrix, field_lobe
+from twin.optics.lost_airlight import lost_airlight
 from twin.optics.lost_orders import lost_orders_share
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -107,7 +108,22 @@ def _shared(system: System, cells: Array) -> Array:
 
 def airlight_of(problem: LightProblem, shape: tuple[int, int]) -> Array:
     """Sunlight scattered by the air in front of the surfaces, in the unit of `sun_light`."""
+    return airlight(problem, shape, _distances(problem, shape))
+
+
+def lost_airlight_of(problem: LightProblem, shape: tuple[int, int]) -> Array:
+    """The same of light that is scattered more than once, which `airlight_of` leaves out: an
+    estimate in a layer of air that is assumed.
+    """
+    if problem.air is None or problem.sun_direction is None:
+        return np.zeros(shape)
+    rng = np.random.default_rng(0)  # the same air always loses as much
+    return lost_airlight(problem, shape, _distances(problem, shape), rng=rng)
+
+
+def _distances(problem: LightProblem, shape: tuple[int, int]) -> Array:
+    """Along the rays of the parts of the detector's field to the first surface."""
     detector = problem.detector
     left, up = field_points(shape, detector.tan_half_field)
     depth = depths(problem.scene, replace(detector, outline="square"), shape)
-    return airlight(problem, shape, depth * np.sqrt(1 + left**2 + up**2))
+    return np.asarray(depth * np.sqrt(1 + left**2 + up**2))

@@ -1,8 +1,8 @@
 """Light scattered back by the air: the emitter's (backscatter) and the sun's (airlight).
 
-Single scattering only. Light that hits no surface and is scattered more than once is left out;
-light that hits a surface belongs to `twin.optics.transport`. `twin.optics.reference` contains both,
-at the cost of a path tracer.
+Single scattering only. Light that hits no surface and is scattered more than once is left out; the
+sun's is estimated in `twin.optics.lost_airlight`. Light that hits a surface belongs to
+`twin.optics.transport`. `twin.optics.reference` contains both, at the cost of a path tracer.
 """
 
 from dataclasses import dataclass
