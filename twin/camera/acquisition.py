@@ -64,8 +64,8 @@ class Capture(Described):
     ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
     reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
     (inverse transform of the patterns shown) over its noise and distortion, which are the lag
-    between exposures and clipping (`Distortion`), with what clipping takes of all cells; 0 where the detector is saturated, and everywhere
-    in a void record.
+    between exposures and clipping (`Distortion`), with what clipping takes of all cells alike; 0
+    where the detector is saturated, and everywhere in a void record.
     ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
     ``background_w`` is the sun's power on one detector, mean over the detectors. ``distance_m``:
     half the way from the emitter over each cell's surface to the detector, infinite where none is.
