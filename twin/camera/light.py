@@ -244,7 +244,7 @@ def render_light(
         with stage("air"):
             lost = lost_orders(problem, truth, rendered.light.cells, quality.air_orders)
             beyond = rendered.light.left_out + lost * rendered.light.cells
-            backscatter = backscatter_of(system, problem, truth.depth_m)
+            backscatter = backscatter_of(system, problem)
             cells = rendered.light.cells + backscatter.light
             light = replace(rendered.light, cells=cells, left_out=beyond)
             paths = rendered.paths and backscatter.added_to(rendered.paths)

@@ -141,7 +141,7 @@ def render_unit_reflectance(
         depth_m=depth,
         emitter=emitter,
         detector=problem.detector,
-        backscatter=backscatter_of(system, problem, depth) if problem.air else None,
+        backscatter=backscatter_of(system, problem) if problem.air else None,
         airlight=airlight_of(problem, sun_parts) if problem.air else None,
         lost_airlight=lost_airlight_of(problem, sun_parts),
         cosines=incidence_cosines(mesh_scene, emitter, shape),

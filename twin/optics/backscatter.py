@@ -57,7 +57,8 @@ def backscatter(
     shape
         Rows and columns of cells.
     distance_m
-        Along the ray to the first surface, infinite for none: a number or (rows, columns).
+        Along the ray to the first surface, infinite for none: a number, (rows, columns), or that of
+        each of a cell's rays, (rows, columns, rays, rays), as `cell_rays` orders them.
     strip
         Part of the detector's square field from left to right, -1 to 1: one column of a sensor.
     nodes
@@ -75,7 +76,9 @@ def backscatter(
     """
     emitter, detector, air = problem.emitter, problem.detector, _air(problem)
     directions, cosine = cell_rays(emitter, shape, rays)
-    distance = np.broadcast_to(np.asarray(distance_m, dtype=np.float64), shape)[..., None, None]
+    distance = np.asarray(distance_m, dtype=np.float64)
+    if distance.ndim < 4:
+        distance = np.broadcast_to(distance, shape)[..., None, None]
     start, stop = _in_field(emitter.origin_m, directions, detector, strip)
     stop = np.minimum(stop, distance)
     # Nothing is lost beyond 50 attenuation lengths, and infinity has no quadrature.
