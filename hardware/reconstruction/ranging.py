@@ -53,6 +53,8 @@ class RangeImage(Described):
     the modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
     ``distance_m`` is half the way from emitter to detector, NaN where no light is. Cells that the
     patterns do not measure have NaN for both.
+    Each cell is taken to hold one surface: of several within two gates, or by one frequency,
+    the mean by light is told, and nothing contradicts it.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
     ``confidence`` is the probability that it is, all distances up to ``longest_m`` being alike
     before. Farther ones repeat, or no gate is open; of phases, what lies nearer to 0 or to
