@@ -30,8 +30,11 @@ class Depth:
     the error grows by the root of chi^2 over its degrees of freedom. One frequency cannot
     contradict itself, and several do so unseen within the device's tolerance: thin fog (2 km of
     visibility, a wall at 10 m, 10 and 11 MHz) moves distances by ten times their errors at a
-    confidence of 1. Cells without light have NaN for distance and 0 for confidence. A distance may
-    lie below 0 by its error.
+    confidence of 1. Cells without light have NaN for distance and 0 for confidence.
+
+    Distances that repeat lie from 0 to ``longest_m``: nearer to either end than their error they
+    may belong to the other one, with a confidence of one half at the end itself. Where
+    ``longest_m`` is less than that of the frequencies, a distance may lie outside by its error.
     """
 
     amplitude: Array
@@ -88,7 +91,7 @@ def depth(
     least = 1e-12 * size.max(initial=0.0)  # keeps a noiseless phasor's precision finite
     phase_error = np.divide(np.maximum(sigma, least), size, out=np.ones(z.shape), where=size > 0)
     precision = (4 * np.pi * f[:, None] / C_M_PER_S / phase_error) ** 2  # of distance, 1/m^2
-    distance, confidence = _unwrapped(np.angle(z), f, precision, longest, longest >= limit)
+    distance, confidence = _unwrapped(np.angle(z), f, precision, longest)
     seen = (size > 0).all(axis=0)
     loose = np.hypot(np.maximum(sigma, least), tolerance * size)
     scale, doubt = contradiction(_misfit(z, f, distance, loose), 2 * (len(f) - 1))
@@ -133,13 +136,13 @@ def _misfit(z: NDArray[np.complex128], f: Array, distance_m: Array, sigma: Array
     return np.asarray((weight * np.abs(turned - amplitude) ** 2).sum(axis=0))
 
 
-def _unwrapped(
-    phase: Array, f: Array, precision: Array, longest: float, circular: bool
-) -> tuple[Array, Array]:
+def _unwrapped(phase: Array, f: Array, precision: Array, longest: float) -> tuple[Array, Array]:
     """Most probable distance and its probability, all combinations of wraps tried.
 
     For each number of wraps of the most precise frequency the others take their nearest ones:
-    least squares between the distances, weighted by their precision. Flat prior up to ``longest``.
+    least squares between the distances, weighted by their precision. The prior is flat from 0 to
+    ``longest``: a combination is as probable as its misfit times the share of its own error that
+    lies there, which near an end is shared with the combination a whole period away.
     """
     unambiguous = C_M_PER_S / (2 * f)
     folded = (-phase / (2 * np.pi) % 1.0) * unambiguous[:, None]
@@ -151,13 +154,20 @@ def _unwrapped(
     weight = precision[:, None] / precision.sum(axis=0)
     mean = (weight * each).sum(axis=0)
     misfit = (precision[:, None] * (each - mean) ** 2).sum(axis=0)
-    spread = 1 / np.sqrt(precision.sum(axis=0))
-    # Noise may take a cell at 0 below it. Where the whole range repeats, each distance counts once.
-    margin = np.minimum(6 * spread, longest / 2)
-    farthest = longest - margin if circular else longest + margin
-    outside = (mean < -margin) | (mean >= farthest)
-    misfit = np.where(outside, np.inf, misfit)
-    best = misfit.argmin(axis=0)
+    inside = _log_share(mean, 1 / np.sqrt(precision.sum(axis=0)), longest)
+    log = inside - misfit / 2
+    best = log.argmax(axis=0)
     cells = np.arange(phase.shape[1])
-    relative = np.exp(-(misfit - misfit[best, cells]) / 2)
-    return mean[best, cells], 1 / relative.sum(axis=0)
+    relative = np.exp(log - log[best, cells])
+    # A phase that no distance up to ``longest`` gives contradicts that there is one.
+    doubt = np.minimum(np.exp(inside[best, cells]) / 1e-3, 1.0)
+    return mean[best, cells], doubt / relative.sum(axis=0)
+
+
+def _log_share(mean: Array, spread: Array, longest: float) -> Array:
+    """Logarithm of the share of a normal distribution that lies from 0 to ``longest``."""
+    from scipy.special import log_ndtr  # takes 0.1 s to import
+
+    outer = np.abs(mean - longest / 2) - longest / 2  # beyond the nearer end
+    near, far = log_ndtr(-outer / spread), log_ndtr(-(outer + longest) / spread)
+    return np.asarray(near + np.log1p(-np.exp(far - near)))

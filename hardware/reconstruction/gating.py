@@ -68,7 +68,8 @@ def echo(
     no rectangle, air that sends light back), errors grow by the root of chi^2 over its degrees of
     freedom. ``confidence`` is the posterior probability of that reach, "no echo at all" being as
     probable before as all beginnings together; where gates differ from one echo by more than 2 % of
-    it, it falls with the probability of that by chance.
+    it, it falls with the probability of that by chance. Two surfaces that the same two gates hold,
+    or a slope, contradict nothing: their mean is told, with the error and the confidence of one.
     """
     errors = np.maximum(errors, _LEAST * np.abs(images).max(initial=0.0) or 1.0)
     if background:

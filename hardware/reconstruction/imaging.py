@@ -22,7 +22,7 @@ from hardware.reconstruction.motion.compensated import (
 from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
-from hardware.reconstruction.negative_light import negative_light
+from hardware.reconstruction.negative_light import beyond_all_light, negative_light
 from hardware.reconstruction.noise import errors_in_95_of_noise, finest_patterns, is_full
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
@@ -218,6 +218,7 @@ def reconstruct(
             *_without_scatter(received, most),
             *_without_detail(error, most),
             *negative_light(received, measured),
+            *beyond_all_light(received, measured),
             *unequal_arms(received, sensing),
             *told_of_search,
             *(told_of_motion if moving else _smoothed(cells, measured, sensing)),

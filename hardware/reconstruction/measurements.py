@@ -139,11 +139,14 @@ def measurements(record: SpiRecord) -> Measurements:
     if full := is_full(patterns.count, patterns.n_cells):
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.where(noise > MOST_OVER_PHOTONS * photons, 0.0, noise)
-    told = (noise > 0) & np.isfinite(of_finest) & full
+    # Exposures that agree by rounding show less scatter than the noise that they had.
+    told = (noise > 0) & np.isfinite(of_finest) & full & (scatter >= rounding)
     noise = np.minimum(np.maximum(noise, rounding), scatter)
-    most = np.maximum(most_noise(values, patterns), np.where(told, noise, rounding))
+    most = np.maximum(np.maximum(most_noise(values, patterns), noise), rounding)
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
     of_constant = most if patterns.mode == "reference" else of_finest
+    # Then rounding is one error that all of them share, beside that of what they are referred to.
+    of_constant = np.where(scatter < rounding, 3 * of_constant, of_constant)
     return Measurements(values, noise, most, told, level, of_constant)
 
 

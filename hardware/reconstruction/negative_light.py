@@ -1,5 +1,5 @@
 """Whether all cells together are less than no light: counts that fall as light rises, exposures
-that are exchanged.
+that are exchanged; or one pattern tells more than all light: a count that is not the light's.
 
 Values of patterns that count no cell negatively (Hadamard row 0, all cells lit) are sums of light,
 and none is below 0 but by noise. A sum below it by more than 5 standard errors is told: of one
@@ -7,6 +7,10 @@ image of no light in 3.5 million where noise is normal, and of fewer where there
 noise is found in the record itself, Student's distribution takes the normal one's place, with the
 degrees of freedom that the patterns leave. Most sets of a user's own plain patterns have no such
 value.
+
+No value of a Hadamard pattern is larger than the sum of all cells, as none of them is negative. In
+sets that show nothing twice that is all that tells a single wrong count; a smaller one looks like
+detail. In pairs it is in the noise.
 """
 
 from collections.abc import Iterator
@@ -53,6 +57,30 @@ def negative_light(record: SpiRecord, measured: Measurements) -> Iterator[str]:
         f"{np.count_nonzero(negative)} of {len(light)} images hold less than no light: all cells "
         f"together {number(light[worst])} electrons, with a standard error of "
         f"{number(error[worst])}; {', or '.join(causes)}"
+    )
+
+
+def beyond_all_light(record: SpiRecord, measured: Measurements) -> Iterator[str]:
+    """A warning where a value of a Hadamard set that shows nothing twice is larger than all light,
+    by more than the error of both.
+    """
+    patterns = record.patterns
+    paired = patterns.mode in ("differential", "complementary")
+    if paired or not isinstance(patterns, PatternSet) or not (patterns.indices == 0).any():
+        return
+    if any(shutter.modulated for shutter in record.shutters):
+        return
+    light = measured.values[patterns.indices == 0].mean(axis=0)
+    excess = np.abs(measured.values) - np.maximum(light, 0)
+    error = np.sqrt((1 + _WITH_CONSTANT) * measured.most_noise_variance)
+    beyond = (excess > errors_of_few(freedom(patterns)) * error) & (patterns.indices > 0)[:, None]
+    if not beyond.any():
+        return
+    pattern, image = np.unravel_index(np.argmax(np.where(beyond, excess, -np.inf)), excess.shape)
+    yield (
+        f"{np.count_nonzero(beyond)} of {beyond.size} measurements are larger than all light, "
+        f"that of pattern {pattern} by {number(excess[pattern, image])} electrons, with a standard "
+        f"error of {number(error[image])}: counts are not the light's, or light changed meanwhile"
     )
 
 

@@ -53,10 +53,14 @@ class RangeImage(Described):
     the modulated light (contrast included), mean over the frequencies; of gates, the whole echo.
     ``distance_m`` is half the way from emitter to detector, NaN where no light is. Cells that the
     patterns do not measure have NaN for both.
+    Each cell is taken to hold one surface: of several within two gates, or by one frequency,
+    the mean by light is told, and nothing contradicts it.
     ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
-    ``confidence`` is the probability that it is. Farther than ``longest_m`` distances repeat, or
-    no gate is open. An echo that comes back after the next pulse looks nearer too, by what light
-    travels between two pulses; a record does not state their rate.
+    ``confidence`` is the probability that it is, all distances up to ``longest_m`` being alike
+    before. Farther ones repeat, or no gate is open; of phases, what lies nearer to 0 or to
+    ``longest_m`` than its error may belong to the other end, and confidence falls to one half.
+    An echo that comes back after the next pulse looks nearer too, by what light travels between two
+    pulses; a record does not state their rate.
     A detector most of whose exposures are saturated is not confident of anything.
     A saturated exposure cuts off light of its cells, of one of a raster scan or of all of a
     pattern: phases tell nothing then; an echo that the rail cuts off came back while the gate was

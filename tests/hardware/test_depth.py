@@ -63,6 +63,37 @@ def test_confidence_is_the_share_of_right_unwrappings(ratio: float) -> None:
         assert share < 0.99  # the case is a hard one, or the test would say nothing
 
 
+@pytest.mark.parametrize("frequencies", [[20e6], [20e6, 30e6]])
+def test_near_the_ends_of_the_period_confidence_says_which_end(frequencies: list[float]) -> None:
+    """A tenth of noise, distances all over the period (9 sigma are 10 % of it): all are told from 0
+    to its end, farther than 5 sigma from either end rightly and surely; nearer as many are right
+    as confidence says, three quarters of those within 1 sigma (binomial bounds at five deviations).
+    """
+    rng = np.random.default_rng(7)
+    n, ratio, longest = 40_000, 0.1, common_range_m(frequencies)
+    distance = rng.uniform(0, longest, n)
+    noise = rng.normal(size=(2, len(frequencies), n)) * ratio
+    z = phasors(distance, 1.0, frequencies) + noise[0] + 1j * noise[1]
+    found = depth(z, frequencies, ratio)
+    assert ((found.distance_m >= 0) & (found.distance_m < longest)).all()
+    right = np.abs(found.distance_m - distance) < longest / 2
+    to_end = np.minimum(found.distance_m, longest - found.distance_m) / found.standard_error_m
+    assert right[to_end > 5].all()
+    assert found.confidence[to_end > 5].mean() > 0.999
+    for low, high in ((0, 1), (1, 2)):
+        near = (low <= to_end) & (to_end < high)
+        share, said = right[near].mean(), found.confidence[near].mean()
+        assert abs(share - said) < 5 * np.sqrt(said * (1 - said) / near.sum())
+        assert said < 0.97
+
+
+def test_a_phase_that_no_distance_up_to_the_longest_gives_is_not_trusted() -> None:
+    """20 MHz, asked up to 5 m of 7.5: 6 m lies 118 standard errors beyond, 3 m is sure."""
+    found = depth(phasors(np.array([3.0, 6.0]), 1.0, [20e6]), [20e6], 0.007, longest_m=5.0)
+    assert found.confidence[0] > 0.999
+    assert found.confidence[1] < 1e-6
+
+
 def test_a_shorter_range_rules_wrong_wraps_out() -> None:
     rng = np.random.default_rng(3)
     n, frequencies, ratio = 5000, [10e6, 11e6], 0.2

@@ -196,3 +196,34 @@ def test_equal_arms_are_seldom_told(count: int, light: float, noise: tuple[float
     if noise[0] == noise[1]:
         far = stdtrit(freedom_of_successive(count) - 1, 0.995)
         assert np.count_nonzero(np.abs(slope) > far * error) <= 200 + 3.5 * np.sqrt(200)
+
+
+@pytest.mark.parametrize("mode", ["plain", "reference", "s-matrix"])
+def test_a_single_count_beyond_all_light_is_told(mode: Any) -> None:
+    """One exposure of 64 with 1.2 times the light of all cells more: what sets that show nothing
+    twice can tell of a wrong count. The picture as it is tells nothing, in 20 draws of its noise.
+    """
+    patterns, said = PatternSet(8, 8, 64, mode=mode), "larger than all light"
+    for seed in range(20):
+        light = exposed(patterns, seed)
+        assert not told(record_of(light, patterns), said)
+    wrong = exposed(patterns).reshape(-1)
+    wrong[9] += 1.2 * scene(8, 8).sum()
+    (warning,) = told(record_of(wrong, patterns), said)
+    assert warning.startswith("1 of 64 measurements")
+
+
+@pytest.mark.parametrize("kind", ["single cell", "stripes", "dark"])
+def test_one_bright_cell_or_one_pattern_alone_is_no_wrong_count(kind: str) -> None:
+    """Of scenes in which patterns tell as much as all light, or none is: no warning in 60 draws."""
+    cells = np.zeros((8, 8))
+    if kind == "single cell":
+        cells[3, 4] = 5e3
+    elif kind == "stripes":
+        cells[:, ::2] = 5e3
+    for seed in range(20):
+        for mode in MODES[2:]:
+            patterns = PatternSet(8, 8, 64, mode=mode)
+            light = patterns.signal(cells.ravel()).astype(float) + 1e4
+            light += 50 * np.random.default_rng(seed).normal(size=light.shape)
+            assert not told(record_of(light, patterns), "larger than all light")

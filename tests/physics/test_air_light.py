@@ -13,9 +13,12 @@ from scipy import integrate
 from tests.physics.devices_in_fog import AHEAD, EMITTER, FOG, TAN, beside
 from twin.optics.backscatter import _along, _in_field, airlight, backscatter, cell_rays
 from twin.optics.devices import Device
+from twin.optics.lost_airlight import lost_airlight
 from twin.optics.problem import LightProblem
 from twin.optics.radiometry import mean_cos_power
 from twin.optics.weather import Air
+
+FOG_OF_WALKS = Air(0.05, 0.04, 0.85)
 
 
 def scattered_back(
@@ -176,3 +179,48 @@ def test_airlight_is_brightest_towards_the_sun() -> None:
     assert ratio == pytest.approx(float(FOG.phase(ahead[0]) / FOG.phase(behind[0])), rel=1e-3)
     cells = sunlit(EMITTER, (4, 4), 50.0, ahead)
     assert cells[0].min() > cells[-1].max()
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "asymmetry", "extinction", "distance_m", "walked"),
+    [
+        (180.0, 0.85, 0.08, math.inf, 3.28e-3),
+        (180.0, 0.85, 0.2, 10.0, 2.50e-3),
+        (180.0, 0.5, 0.1, 10.0, 4.66e-3),
+        (90.0, 0.5, 0.1, 10.0, 6.09e-3),
+    ],
+)
+def test_sunlight_scattered_more_than_once_is_that_of_another_walk(
+    azimuth_deg: float, asymmetry: float, extinction: float, distance_m: float, walked: float
+) -> None:
+    """Sun at 30 degrees, albedo 0.99, an open view or a wall at 10 m: another walk of 300 000
+    paths, none of them forced, in a layer from 1.5 m below the sensor to the lesser of 10 m above
+    it and 0.5 / extinction, has these (+- 2 %). Mean of four draws, which scatter by 2 to 12 %.
+    """
+    up, across = math.sin(math.radians(30)), math.cos(math.radians(30))
+    turn = math.radians(azimuth_deg)
+    sun = np.array([across * math.cos(turn), across * math.sin(turn), up])
+    air = Air(extinction, 0.99 * extinction, asymmetry)
+    problem = LightProblem(None, EMITTER, EMITTER, sun, air)
+    draws = [
+        lost_airlight(
+            problem, (8, 8), np.full((8, 8), distance_m), rng=np.random.default_rng(seed)
+        ).sum()
+        for seed in range(4)
+    ]
+    assert np.mean(draws) == pytest.approx(walked, rel=0.2)
+
+
+def test_of_light_scattered_once_the_walk_finds_the_closed_form() -> None:
+    """What walks have of all orders less that of two and more, before a wall at 5 m, so near that
+    the layer's ends lie beside the field: 1 %, and what the sun's light gains and loses on its way
+    between the heights of the field, which the closed form leaves out.
+    """
+    sun, far = np.array([-0.6, 0.0, 0.8]), np.full((8, 8), 5.0)
+    problem = LightProblem(None, EMITTER, EMITTER, sun, FOG_OF_WALKS)
+    every, many = (
+        lost_airlight(problem, (8, 8), far, rng=np.random.default_rng(1), least_orders=n).sum()
+        for n in (1, 2)
+    )
+    closed = sunlit(EMITTER, (8, 8), 5.0, sun, FOG_OF_WALKS).sum()
+    assert every - many == pytest.approx(closed, rel=0.01)

@@ -342,3 +342,47 @@ def test_air_in_which_every_path_has_more_orders_leaves_errors_finite(tmp_path: 
     found = capture(wall_before(), system, seed=1, fidelity=Fidelity(64, 1))
     assert np.isfinite(found.light_systematic_e).all()
     assert any("times the light" in str(warning) for warning in found.warnings)
+
+
+def test_extinction_beyond_all_numbers_is_decided_without_overflow(tmp_path: Path) -> None:
+    """A wall 2 km away in fog of 0.2 per m, an optical depth of 780 out and back: a decision on
+    extinction with a finite error, and no warning of Python's (which are errors here).
+    """
+    corners = np.array([[2e3, 9e3, 9e3], [2e3, -9e3, 9e3], [2e3, -9e3, -9e3], [2e3, 9e3, -9e3]])
+    wall = SceneObject("wall", Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]])), "w", BRIGHT)
+    fog = '[weather]\nvisibility_m = "20 m"\nsingle_scattering_albedo = 0.99\nasymmetry = 0.85\n'
+    system = foggy(tmp_path, fog).with_(
+        {"emitter.rows": 4, "emitter.columns": 4, "acquisition.n_patterns": 16}
+    )
+    scene = replace(wall_before(), objects=(wall,))
+    few = Tolerance(1.0).knobs().with_(light_rays=1000)
+    found = capture(scene, system, seed=1, fidelity=few)
+    (extinction,) = (d for d in found.decisions if "extinction of direct light" in d.effect)
+    assert np.isfinite(extinction.bound)
+
+
+@pytest.mark.parametrize("lux", [1e5, 0.0])
+def test_an_open_view_through_fog_states_the_light_of_the_air_that_is_left_out(
+    tmp_path: Path, lux: float
+) -> None:
+    """A dark post 3 m ahead in a 100th of the field, else nothing: fog of 0.08 per m scatters some
+    of the emitter's light more than once, and of the sun's, if it shines, several times all that
+    is computed: its systematic error.
+    """
+    corners = np.array([[3, 0, -0.1], [3, 0.05, -0.1], [3, 0.05, 0.1], [3, 0, 0.1]])
+    post = SceneObject("post", Geometry(corners, np.array([[0, 1, 2], [0, 2, 3]])), "w", 0.1)
+    scene = replace(wall_before(), objects=(post,), sun=Sun(90.0, 30.0, lux))
+    fog = '[weather]\nvisibility_m = "48 m"\nsingle_scattering_albedo = 0.99\nasymmetry = 0.85\n'
+    system = foggy(tmp_path, fog).with_(
+        {
+            "emitter.rows": 4,
+            "emitter.columns": 4,
+            "acquisition.n_patterns": 16,
+            "sky.illuminance_lx": lux,
+        }
+    )
+    found = capture(scene, system, seed=1, fidelity=Fidelity(16, 1))
+    told = " ".join(map(str, found.warnings))
+    assert "half of the cells look through an optical depth of 1" in told
+    assert ("sunlight that hits no surface" in told) == (lux > 0)
+    assert (found.model_error.background_systematic_w > 2 * found.background_w) == (lux > 0)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy import stats
 from tests.physics.devices_in_fog import EMITTER, FOG, TAN, beside
 from tests.still import still_yard
 from twin.camera import capture
+from twin.camera.air import backscatter_of
 from twin.camera.light import render
 from twin.camera.mounting import field_points
 from twin.fidelity import Fidelity
@@ -104,6 +106,32 @@ def wall_and_backscatter(
     problem = LightProblem(None, EMITTER, detector, air=air)
     from_air = backscatter(problem, (size, size), s.mean(axis=(2, 3))).light
     return light, from_air
+
+
+@pytest.mark.parametrize("share", [0.25, 0.4, 0.6, 0.75])
+def test_the_veil_of_a_cell_that_a_border_cuts_is_that_before_both_surfaces(share: float) -> None:
+    """A wall at 4 m over the left of the field and a ``share`` of column 4, nothing behind: the
+    cells' veil is that share before the wall and the rest in the open, to a sixth of the cell
+    (three rays along each side). By the middle of the cell it had been one or the other.
+    """
+    system = load_system("workable").with_(
+        {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
+    )
+    border = -4.0 * TAN * 2 / 8 * share  # column 4 goes from the axis to the right
+    corners = np.array([[0, 50, -50], [0, border, -50], [0, border, 50], [0, 50, 50]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    part = SceneObject("wall", Geometry(corners + [4.0, 0, 0], faces), "white", 0.5)
+    problem = replace(
+        before_wall(beside(0, 0.4, 0), 4.0, Air(0.08, 0.08, 0.85)),
+        scene=mitsuba_scene(replace(wall(4.0), objects=(part,))),
+    )
+    found = backscatter_of(system, problem).light.reshape(8, 8)[:, 4].sum()
+    _, cosine = cell_rays(EMITTER, (8, 8), 1)
+    near, far = (
+        backscatter(problem, (8, 8), depth / cosine[..., 0, 0]).light[:, 4].sum()
+        for depth in (4.0, np.inf)
+    )
+    assert found == pytest.approx(share * near + (1 - share) * far, abs=0.18 * (far - near))
 
 
 @pytest.fixture

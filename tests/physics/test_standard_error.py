@@ -109,6 +109,31 @@ def test_standard_errors_of_a_full_set_are_those_of_its_noise() -> None:
     assert two == pytest.approx(0.95, abs=0.025)
 
 
+@pytest.mark.parametrize("noise", [0.5, 0.25, 0.125])
+def test_standard_errors_of_a_full_set_hold_of_scenes_finer_than_the_prior(noise: float) -> None:
+    """A fence one cell wide, diagonal stripes, bricks and white noise, 32 x 32: what smoothing took
+    of them is told by what it left of the measurements. Root mean square of the error over the
+    stated within 8 %, where the prior's own had been 1.2 to 1.9, and 86 % of the cells and more,
+    where it had been 56 to 90 %.
+    """
+    down, along = np.mgrid[0:32, 0:32]
+    joints = (down % 4 == 0) | ((along + 4 * (down // 4 % 2)) % 8 == 0)
+    white = np.random.default_rng(1).random((32, 32))
+    scenes = {"fence": along % 2, "stripes": (along + down) // 2 % 2, "bricks": ~joints}
+    sensing, variance = Sensing(PatternSet(32, 32, 1024)), noise**2 * 1024
+    for name, scene in {**scenes, "white": white}.items():
+        ratios, within = [], []
+        for seed in range(8):
+            cells = np.asarray(scene, dtype=float).ravel()
+            drawn = np.random.default_rng(seed).normal(size=1024) * np.sqrt(variance)
+            image, error = METHODS["lmmse"](sensing.forward(cells) + drawn, variance, sensing)
+            assert error is not None
+            ratios.append(np.mean((image - cells) ** 2) / np.mean(error**2))
+            within.append(np.mean(np.abs(image - cells) < 1.96 * error))
+        assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.08), name
+        assert np.mean(within) > 0.86, name
+
+
 def without(side: int, lost: np.ndarray) -> PatternSet:
     """A full set less the patterns at ``lost`` in `sequency` order, coarse to fine."""
     indices = np.delete(PatternSet(side, side, side * side, "sequency").indices, lost)

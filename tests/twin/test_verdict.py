@@ -192,6 +192,23 @@ def test_what_is_cut_off_is_counted_and_few_patterns_are_not_void(
     held_to_its_image(found)
 
 
+def test_an_image_of_half_its_light_has_no_snr_above_1() -> None:
+    """The rail at half of all light, no sun: of each pair the brighter exposure is cut to the same
+    count, and differences keep half of what they had. No cell is right to better than half of
+    itself, as its SNR says: 330 of the brightest before, where the image's own error is 1.01.
+    """
+    strong = {"sky__illuminance_lx": 0.0, "emitter__radiant_intensity_w_per_sr": 300.0}
+    whole = taken("table1", small(readout__transimpedance_ohm=1e5, **strong)).record
+    room = 2**whole.adc_bits - 1 - whole.offset_counts
+    gain = 1.97 * 1e5 * room / (float(whole.counts.max()) - whole.offset_counts)
+    found = taken("table1", small(readout__transimpedance_ohm=gain, **strong))
+    true, image = found.cells_e.ravel(), image_of(found).ravel()
+    kept = float(true @ image / (true @ true))
+    assert kept == pytest.approx(0.5, abs=0.01)
+    assert not found.void
+    assert found.verdict.snr_best < 1.02 * kept / (1 - kept)
+
+
 @pytest.mark.parametrize(
     "slow",
     [

@@ -64,8 +64,8 @@ class Capture(Described):
     ``backscatter_e`` the part that the air scattered back, ``scene_e`` the rest, with which
     reconstructions are compared. ``snr`` is the signal of ``scene_e`` in a reconstructed pixel
     (inverse transform of the patterns shown) over its noise and distortion, which are the lag
-    between exposures and clipping (`Distortion`); 0 where the detector is saturated, and everywhere
-    in a void record.
+    between exposures and clipping (`Distortion`), with what clipping takes of all cells alike; 0
+    where the detector is saturated, and everywhere in a void record.
     ``range_error``: error of time-of-flight distances due to backscatter, None where there is none.
     ``background_w`` is the sun's power on one detector, mean over the detectors. ``distance_m``:
     half the way from the emitter over each cell's surface to the detector, infinite where none is.
@@ -236,11 +236,14 @@ def measure(
     distortion = distortions(chain, power)
     hidden = saturated_detectors(record, own) | distortion.total.hides(image_noise_e)
     signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
-    noise_and_error_e = np.hypot(cells_noise_e, distortion.total.cells_error_e)
+    error_e = np.hypot(cells_noise_e, distortion.total.cells_error_e)
     backscatter_e = to_e * power.backscatter_w.sum(axis=0)
     scene_e = _without(cells_e, backscatter_e)
     unknown = hidden[:, None] | record.patterns.unmeasured_cells
-    snr = np.where(unknown, 0.0, signal_factor * scene_e / noise_and_error_e)
+    # What rails take of all cells alike depends on the light: unlike lag's, no calibration gives it
+    # back, and it is an error of each cell.
+    cut_e = np.abs(distortion.clipping.signal_factor - 1)[:, None] * scene_e
+    snr = np.where(unknown, 0.0, signal_factor * scene_e / np.hypot(error_e, cut_e))
     range_error = backscatter_range_error(
         record, to_e * power.cells_w, to_e * power.backscatter_w, noise_e
     )

@@ -9,6 +9,7 @@ from twin.camera.mounting import field_points
 from twin.camera.truth import Truth, depths
 from twin.optics.backscatter import airlight, backscatter
 from twin.optics.emission import emission_matrix, field_lobe
+from twin.optics.lost_airlight import lost_airlight
 from twin.optics.lost_orders import lost_orders_share
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
@@ -22,6 +23,9 @@ Array = NDArray[np.float64]
 #: Optical depth of scattering below which scattering is not traced: at most this share of the light
 #: then stays in the wrong cell.
 THIN = 0.005
+#: Along each side of a cell, for its backscatter: of a cell that the border of an object cuts, what
+#: is in front of either surface counts to a sixth of the cell.
+_RAYS = 3
 
 
 def where_air_scatters(air: Air | None, depth_m: Array, quality: TracingQuality) -> TracingQuality:
@@ -77,14 +81,13 @@ class CellBackscatter:
         return Paths(value, np.hstack([paths.length_m, self.paths.length_m]), paths.shape)
 
 
-def backscatter_of(system: System, problem: LightProblem, depth_m: Array) -> CellBackscatter:
-    """Backscatter of every cell; ``depth_m`` (rows, columns x n_detectors) along the boresight."""
+def backscatter_of(system: System, problem: LightProblem) -> CellBackscatter:
+    """Backscatter of every cell, in front of the surface that each of its rays meets first."""
     shape, n = (system.emitter.rows.value, system.emitter.columns.value), system.n_detectors
-    left, up = field_points(depth_m.shape, problem.emitter.tan_half_field)
-    distance = depth_m * np.sqrt(1 + left**2 + up**2)
+    distance = _distances_of_rays(problem, system.image_shape)
     edges = np.linspace(-1, 1, n + 1)
-    strips = zip(edges[:-1], edges[1:], np.hsplit(distance, n), strict=True)
-    parts = [backscatter(problem, shape, seen, strip=(a, b)) for a, b, seen in strips]
+    strips = zip(edges[:-1], edges[1:], np.split(distance, n, axis=1), strict=True)
+    parts = [backscatter(problem, shape, seen, strip=(a, b), rays=_RAYS) for a, b, seen in strips]
     light = _shared(system, np.stack([part.light.ravel() for part in parts]))
     if n > 1 or not system.time_of_flight:
         return CellBackscatter(light)
@@ -92,6 +95,19 @@ def backscatter_of(system: System, problem: LightProblem, depth_m: Array) -> Cel
         x.reshape(light.size, -1).astype(np.float32) for x in (parts[0].value, parts[0].length_m)
     )
     return CellBackscatter(light, Paths(value, length, shape))
+
+
+def _distances_of_rays(problem: LightProblem, shape: tuple[int, int]) -> Array:
+    """Along the rays of each cell to the first surface, (rows, columns, _RAYS, _RAYS)."""
+    emitter, (rows, columns) = problem.emitter, shape
+    fine, at = (rows * _RAYS, columns * _RAYS), None
+    if problem.instants:  # of a cell that moves while it is lit, the one in the middle
+        of_cells = np.arange(rows * columns).reshape(shape) * problem.instants
+        at = (of_cells + problem.instants // 2).repeat(_RAYS, 0).repeat(_RAYS, 1).ravel()
+    left, up = field_points(fine, emitter.tan_half_field)
+    depth = depths(problem.scene, replace(emitter, outline="square"), fine, at)
+    by_cell = (depth * np.sqrt(1 + left**2 + up**2)).reshape(rows, _RAYS, columns, _RAYS)
+    return np.asarray(by_cell.swapaxes(1, 2))
 
 
 def _shared(system: System, cells: Array) -> Array:
@@ -107,7 +123,22 @@ def _shared(system: System, cells: Array) -> Array:
 
 def airlight_of(problem: LightProblem, shape: tuple[int, int]) -> Array:
     """Sunlight scattered by the air in front of the surfaces, in the unit of `sun_light`."""
+    return airlight(problem, shape, _distances(problem, shape))
+
+
+def lost_airlight_of(problem: LightProblem, shape: tuple[int, int]) -> Array:
+    """The same of light that is scattered more than once, which `airlight_of` leaves out: an
+    estimate in a layer of air that is assumed.
+    """
+    if problem.air is None or problem.sun_direction is None:
+        return np.zeros(shape)
+    rng = np.random.default_rng(0)  # the same air always loses as much
+    return lost_airlight(problem, shape, _distances(problem, shape), rng=rng)
+
+
+def _distances(problem: LightProblem, shape: tuple[int, int]) -> Array:
+    """Along the rays of the parts of the detector's field to the first surface."""
     detector = problem.detector
     left, up = field_points(shape, detector.tan_half_field)
     depth = depths(problem.scene, replace(detector, outline="square"), shape)
-    return airlight(problem, shape, depth * np.sqrt(1 + left**2 + up**2))
+    return np.asarray(depth * np.sqrt(1 + left**2 + up**2))

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 #: One-way optical depth above which multiply scattered light of the air exceeds 1 % in fog.
 _THICK = 0.25
 
+#: Distance at which a wall would leave as much of the air's light out as an open view.
+_OPEN_VIEW_M = 12.5
+
 #: What is left out, by a random walk through the bundled fog.
 _MISSING_VEIL = (
     "in fog 3 to 8 % of all light at 0.5, 12 to 22 % at 1 and 20 to 45 % at 2 (there up to 4 times "
@@ -83,18 +86,20 @@ def lag_shares(system: System) -> dict[str, float]:
 
 
 def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
-    air, seen = air_of_system(system), depth_m[np.isfinite(depth_m)]
-    if air is None or not seen.size:
+    air = air_of_system(system)
+    if air is None:
         return []
-    depth = air.extinction_per_m * float(np.median(seen))
+    seen_m = np.where(np.isfinite(depth_m), depth_m, _OPEN_VIEW_M)
+    depth = air.extinction_per_m * float(np.median(seen_m))
     if depth < _THICK:
         return []
     return [
         CaptureWarning(
             "model",
-            f"half of the surfaces are behind an optical depth of {depth:.2g} or more: light that "
-            "hits no surface and is scattered by the air more than once is left out; it is spread "
-            f"over the image: {_MISSING_VEIL}; the real image has less contrast",
+            f"half of the cells look through an optical depth of {depth:.2g} or more (an open view "
+            f"counts as {_OPEN_VIEW_M:g} m): light that hits no surface and is scattered by the "
+            f"air more than once is left out; it is spread over the image: {_MISSING_VEIL}; the "
+            "real image has less contrast",
         )
     ]
 

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 #: What is always modelled, since it takes no further paths.
 _ALWAYS = "always taken, at no cost"
 _OF_LIGHT = "of a cell's light"
+#: Optical depth of a path from which on all of its light is lost; squares of exp stay finite.
+_OPAQUE = 100.0
 
 
 def decisions_on_effects(
@@ -76,7 +78,8 @@ def decisions_on_effects(
             lost_per_m = air.extinction_per_m if scatters else air.surface_extinction_per_m
             is_seen = np.isfinite(path_m)
             from_surfaces = np.where(is_seen, rendered.light.cells - veil, 0.0)
-            grown = np.expm1(lost_per_m * np.where(is_seen, path_m, 0.0))
+            path_depth = lost_per_m * np.where(is_seen, path_m, 0.0)
+            grown = np.expm1(np.minimum(path_depth, _OPAQUE))
             effect = f"the air's extinction of direct light, {_ALWAYS}"
             found.append(on_light(effect, from_surfaces * grown))
         found.append(on_light("veil of light that the air scatters back", veil, cost_s=air_cost_s))

@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import airlight_of, backscatter_of, lost_orders, where_air_scatters
+from twin.camera.air import (
+    airlight_of,
+    backscatter_of,
+    lost_airlight_of,
+    lost_orders,
+    where_air_scatters,
+)
 from twin.camera.chain import Chain
 from twin.camera.effects import decisions_on_effects
 from twin.camera.equal_paths import sun_light, sun_shape, unseen_sun, with_light
@@ -28,6 +34,7 @@ from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     forward_scattering_warnings,
     grazing_warnings,
+    lost_airlight_warnings,
     lost_orders_warnings,
     near_pupil_warnings,
     truncation_warnings,
@@ -80,11 +87,19 @@ def render(
     )
     cosines = incidence_cosines(problem.scene, rendered.emitter, truth.albedo.shape)
     left_out = rendered.light.left_out + _left_out(scene, system, rendered, cosines, fidelity)
+    lost_sun = lost_airlight_of(problem, rendered.sun.shape)
+    told: list[CaptureWarning] = []
+    if chain.sky.illuminance_lx:
+        told = lost_airlight_warnings(lost_sun, rendered.sun)
     return replace(
         rendered,
         light=replace(rendered.light, left_out=left_out),
-        sun_left_out=_sun_left_out(scene, rendered, fidelity),
-        warnings=(*rendered.warnings, *_uncertain(scene, problem, rendered, cosines, fidelity)),
+        sun_left_out=_sun_left_out(scene, rendered, fidelity) + lost_sun,
+        warnings=(
+            *rendered.warnings,
+            *_uncertain(scene, problem, rendered, cosines, fidelity),
+            *told,
+        ),
     )
 
 
@@ -229,7 +244,7 @@ def render_light(
         with stage("air"):
             lost = lost_orders(problem, truth, rendered.light.cells, quality.air_orders)
             beyond = rendered.light.left_out + lost * rendered.light.cells
-            backscatter = backscatter_of(system, problem, truth.depth_m)
+            backscatter = backscatter_of(system, problem)
             cells = rendered.light.cells + backscatter.light
             light = replace(rendered.light, cells=cells, left_out=beyond)
             paths = rendered.paths and backscatter.added_to(rendered.paths)

@@ -8,7 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.camera.air import CellBackscatter, airlight_of, backscatter_of, where_air_scatters
+from twin.camera.air import (
+    CellBackscatter,
+    airlight_of,
+    backscatter_of,
+    lost_airlight_of,
+    where_air_scatters,
+)
 from twin.camera.equal_paths import SUN_PARTS, unseen_sun
 from twin.camera.left_out import (
     bounces_share,
@@ -63,6 +69,7 @@ class UnitReflectanceLight:
     detector: Device
     backscatter: CellBackscatter | None
     airlight: Array | None
+    lost_airlight: Array
     cosines: Array
     warnings: tuple[CaptureWarning, ...]
     is_flat: bool
@@ -94,8 +101,9 @@ class UnitReflectanceLight:
             sun_left_out=np.multiply(
                 bounces, sun.total, out=np.zeros_like(sun.total), where=sun.total > 0
             )
+            + self.lost_airlight
             if sun.total.any()
-            else self.sun_unseen,
+            else self.sun_unseen + self.lost_airlight,
             truth=Truth(albedo, self.depth_m),
             emitter=self.emitter,
             detector=self.detector,
@@ -133,8 +141,9 @@ def render_unit_reflectance(
         depth_m=depth,
         emitter=emitter,
         detector=problem.detector,
-        backscatter=backscatter_of(system, problem, depth) if problem.air else None,
+        backscatter=backscatter_of(system, problem) if problem.air else None,
         airlight=airlight_of(problem, sun_parts) if problem.air else None,
+        lost_airlight=lost_airlight_of(problem, sun_parts),
         cosines=incidence_cosines(mesh_scene, emitter, shape),
         warnings=tuple(
             undersampling_warnings(scene, emitter, shape[0] * shape[1] * fidelity.samples)

@@ -160,6 +160,24 @@ def lost_orders_warnings(share: float, orders: int) -> list[CaptureWarning]:
     return [CaptureWarning("rendering", text)]
 
 
+def lost_airlight_warnings(lost: Array, sun: Array) -> list[CaptureWarning]:
+    """Sunlight that the air scatters more than once, ``lost`` (rows, columns), beside ``sun``, the
+    computed light of the sun in the same parts.
+    """
+    missing, computed = float(lost.sum()), float(sun.sum())
+    if missing <= _THIN * computed:
+        return []
+    share = missing / computed if computed else math.inf
+    more = f"{100 * share:.2g} % of" if share < 1 else f"{share:.2g} times"
+    text = (
+        f"sunlight that hits no surface and is scattered by the air more than once is left out: "
+        f"{more} the sun's computed light, in a layer of air that ends 10 m above the sensor, or "
+        "lower where it would dim the sun by e, over black ground; thicker layers and brighter "
+        "ground bring more"
+    )
+    return [CaptureWarning("model", text)]
+
+
 def undersampling_warnings(scene: Scene, camera: Device, rays: float) -> list[CaptureWarning]:
     """Objects in the field so small that fewer than one of ``rays`` is expected to hit them.
 

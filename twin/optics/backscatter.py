@@ -1,8 +1,8 @@
 """Light scattered back by the air: the emitter's (backscatter) and the sun's (airlight).
 
-Single scattering only. Light that hits no surface and is scattered more than once is left out;
-light that hits a surface belongs to `twin.optics.transport`. `twin.optics.reference` contains both,
-at the cost of a path tracer.
+Single scattering only. Light that hits no surface and is scattered more than once is left out; the
+sun's is estimated in `twin.optics.lost_airlight`. Light that hits a surface belongs to
+`twin.optics.transport`. `twin.optics.reference` contains both, at the cost of a path tracer.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,8 @@ def backscatter(
     shape
         Rows and columns of cells.
     distance_m
-        Along the ray to the first surface, infinite for none: a number or (rows, columns).
+        Along the ray to the first surface, infinite for none: a number, (rows, columns), or that of
+        each of a cell's rays, (rows, columns, rays, rays), as `cell_rays` orders them.
     strip
         Part of the detector's square field from left to right, -1 to 1: one column of a sensor.
     nodes
@@ -75,7 +76,9 @@ def backscatter(
     """
     emitter, detector, air = problem.emitter, problem.detector, _air(problem)
     directions, cosine = cell_rays(emitter, shape, rays)
-    distance = np.broadcast_to(np.asarray(distance_m, dtype=np.float64), shape)[..., None, None]
+    distance = np.asarray(distance_m, dtype=np.float64)
+    if distance.ndim < 4:
+        distance = np.broadcast_to(distance, shape)[..., None, None]
     start, stop = _in_field(emitter.origin_m, directions, detector, strip)
     stop = np.minimum(stop, distance)
     # Nothing is lost beyond 50 attenuation lengths, and infinity has no quadrature.

@@ -99,7 +99,7 @@ def _walk(
         order = np.where(meets, 0, order + 1)
         bounced = bounced + meets
         weight = weight * np.where(meets, reflectance, 1.0)
-        heading = np.where(meets[:, None], _reflected(len(place), rng), _turned(air, heading, rng))
+        heading = np.where(meets[:, None], _reflected(len(place), rng), turned(air, heading, rng))
         goes_on = (bounced < bounces) & (radius < _AWAY) & (place[:, 0] > -_AWAY) & (weight > 1e-6)
         if not goes_on.any():
             break
@@ -116,7 +116,7 @@ def _reflected(n: int, rng: np.random.Generator) -> Array:
     return np.column_stack([-np.sqrt(square), across * np.cos(angle), across * np.sin(angle)])
 
 
-def _turned(air: Air, heading: Array, rng: np.random.Generator) -> Array:
+def turned(air: Air, heading: Array, rng: np.random.Generator) -> Array:
     """Directions (n, 3) after one scattering by the air's phase function."""
     n = len(heading)
     backward = rng.uniform(size=n) < air.backward_share

@@ -36,7 +36,8 @@ class Acquisition(Strict):
     lit one).
     """
     mode: Sourced[Mode]
-    """How a row of +1 and -1 becomes light. `differential`: each pattern is followed by its
+    """How a row of +1 and -1 becomes light; in pairs alone a wrong count or a drift shows in the
+    noise, in other modes it looks like detail. `differential`: each pattern is followed by its
     complement; `plain`: the lit pattern alone; `reference`: all cells lit and all dark once, then
     the lit patterns; `s-matrix`: the cells where the row is -1.
     """

@@ -66,6 +66,9 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     error *= stands
     finest = detail_scale(*independent, noise_variance, ratio)
     error *= finest * calibration(sensing) ** 2
+    if isinstance(plan, FullPlan):  # scenes finer than the prior lose more than it foresees
+        lost, foreseen = plan.smoothed_away(values, cells, noise_variance, ratio), error.mean()
+        error *= max(lost / foreseen, 1.0) if foreseen else 1.0
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
     error += noise_variance * by_noise
     return cells, np.sqrt(error, out=error)
@@ -189,6 +192,19 @@ class FullPlan:
         weight, n = self._weight(ratio), self.sensing.n_cells
         detail = mean_square(self.spectrum * (1 - weight) ** 2)
         return detail, (float(np.vdot(weight, weight)) + 1) / n**2
+
+    def smoothed_away(
+        self, values: Array, cells: Array, noise_variance: float, ratio: float
+    ) -> float:
+        """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
+        whatever the prior: what it took of the plain inverse, less the noise in that (unbiased;
+        Stein, Ann. Stat. 9, 1981).
+        """
+        taken = 1 - self._weight(ratio)
+        taken[0, 0] = 0.0  # the mean is kept
+        plain, n = self.sensing.adjoint(values) / self.sensing.n_cells, self.sensing.n_cells
+        noise = noise_variance / n * float(np.vdot(taken, taken))
+        return (float(np.sum((plain - cells) ** 2)) - noise) / n
 
     @cached_property
     def unseen(self) -> Array:
