@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, TYPE_CHECKING, Any
 
 from hardware.errors import InputError
@@ -90,7 +91,7 @@ def read_array(path: str | Path) -> "NDArray[Any]":
             raise InputError(f"{path}: is no NumPy array (.npy)")
     try:
         array: NDArray[Any] = np.load(path, mmap_mode="r")
-    except (ValueError, EOFError, OSError) as error:
+    except (ValueError, EOFError, OSError, TokenError) as error:
         raise InputError(f"{path}: can't be read as a NumPy array ({error})") from error
     return array
 

@@ -67,7 +67,8 @@ def _layout(layout: Layout, record: type) -> str:
         f"`schema_version` {layout.version}; files of all versions from 1 are read. Written by "
         f"`hardware.write_{'radar_' if record is radar.RadarRecord else ''}record`, read by "
         f"`hardware.read_{'radar_' if record is radar.RadarRecord else ''}record`.\n\n"
-        "Attributes:\n\n"
+        "Attributes (texts are UTF-8 of fixed length, in older files of variable length, without a "
+        "checksum):\n\n"
         + table(("attribute", "unit", since, "meaning"), settings + parameters)
         + "\nData sets:\n\n"
         + table(("data set", "type", since, "meaning"), arrays)

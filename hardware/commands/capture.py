@@ -60,16 +60,15 @@ def capture(
     the sources is damaged, or a signal came before the --records or the --duration asked for.
     """
     from hardware.capture import capture as run
-    from hardware.files import read_toml
     from hardware.interruption import asked_to_end
     from hardware.recording import Log
+    from hardware.recording.mounting import read_mounting
     from hardware.recording.reading import Ending
 
     if not duration > 0:
         raise InputError(f"--duration: {duration:g} s, expected more than 0 s")
     loaded, setup = settings_of(settings), setup_of(radar_setup)
-    extrinsics = read_toml(rig) if rig else {}
-    extrinsics.pop("field_deg", None)  # of cameras, for `ugv process --motion radar`
+    extrinsics = read_mounting(rig).poses if rig else {}
     n, begun = Counter[str](), time.monotonic()
     flags: dict[str, Counter[str]] = {}
     endings: dict[str, Ending] = {}

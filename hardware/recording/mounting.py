@@ -96,9 +96,8 @@ def read_mounting(path: str | Path) -> Mounting:
             if name == _FIELDS:
                 fields = _angles(values)
                 continue
-            poses[name] = QuaternionPose(*_finite(values, 7, "x, y, z, qw, qx, qy, qz"))
-            if not any(poses[name][3:]):
-                raise InputError(f"{values}: a quaternion of zeros, expected w, x, y, z of a turn")
+            numbers = _finite(values, 7, "x, y, z, qw, qx, qy, qz")
+            poses[name] = QuaternionPose.from_numbers(numbers)
         except InputError as error:
             raise InputError(f"{path}: {name}: {error}") from error
     return Mounting(poses, fields)

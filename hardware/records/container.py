@@ -1,7 +1,8 @@
 """The file behind every record: HDF5 with a format name and a schema version.
 
 Arrays have checksums (Fletcher-32), and so has all else, as the format of HDF5 1.10 has it: a bit
-that has flipped is an error, not another count.
+that has flipped is an error, not another count. Texts have a fixed length for it, in UTF-8: those
+of variable length stand in a heap that has none.
 """
 
 import re
@@ -16,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from hardware.errors import InputError
 from hardware.files import whole_file
+from hardware.records.global_heap import has_endless_heap
 
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
 _MOST_RATIO = 1032
@@ -118,13 +120,13 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
     # with it.
     how = {"driver": "core", "backing_store": False, "libver": (_HDF5_FORMAT, _HDF5_FORMAT)}
     with h5py.File("record", "w", **how) as file:
-        file.attrs["format"] = layout.format
+        file.attrs["format"] = _fixed(layout.format)
         file.attrs["schema_version"] = layout.version
         for name in layout.settings:
-            file.attrs[name] = layout.value(record, name)
+            file.attrs[name] = _fixed(layout.value(record, name))
         group = file.create_group(layout.group)
         for name in layout.parameters:
-            group.attrs[name] = layout.parameter(record, name)
+            group.attrs[name] = _fixed(layout.parameter(record, name))
         for name in layout.optional:
             if (value := layout.parameter(record, name)) is not None:
                 _create(group, name, np.asarray(value, dtype=np.int64))
@@ -134,11 +136,21 @@ def write(layout: Layout, record: Any, path: str | Path) -> None:
                 _create(group, name, data, compression="gzip", shuffle=True)
         for name, (dtype, meaning) in layout.arrays.items():
             data = np.asarray(layout.value(record, name), dtype=dtype)
-            _create(file, name, data).attrs["meaning"] = meaning
+            _create(file, name, data).attrs["meaning"] = _fixed(meaning)
         file.flush()
         image = file.id.get_file_image()
     with whole_file(path) as partial:
         partial.write_bytes(image)
+
+
+def _fixed(value: Any) -> Any:
+    """A text of fixed length; anything else as it is."""
+    import h5py
+
+    if not isinstance(value, str):
+        return value
+    text = value.encode("utf-8", "surrogateescape")
+    return np.array(text, h5py.string_dtype("utf-8", max(1, len(text))))
 
 
 def _create(group: Any, name: str, data: "np.ndarray[Any, Any]", **filters: Any) -> Any:
@@ -172,6 +184,8 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
             raise InputError(f"{path}: is empty, expected a {layout.format} (HDF5)")
     if not h5py.is_hdf5(path):
         raise InputError(f"{path}: is no HDF5 file, expected a {layout.format}")
+    if has_endless_heap(path):
+        raise InputError(f"{path}: is damaged, HDF5 cannot read it: texts of size 0")
     try:
         with h5py.File(path, "r") as file:
             version = _check(layout, file)

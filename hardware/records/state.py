@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: Of places: beyond, float64 tells less than 0.1 um.
+_FARTHEST_M = 1e9
+_LARGEST_QUATERNION = 1e100
+
 
 class QuaternionPose(NamedTuple):
     """Place and orientation of a rig or an antenna in the world (REP 103: x forward, y left, z up).
@@ -43,12 +47,17 @@ class QuaternionPose(NamedTuple):
 
     @classmethod
     def from_numbers(cls, values: Iterable[float]) -> "QuaternionPose":
-        """From x, y, z, qw, qx, qy, qz. Raises InputError unless these are 7 finite numbers, and
-        the quaternion is not 0.
+        """From x, y, z, qw, qx, qy, qz. Raises InputError unless these are 7 finite numbers, of
+        which the place is within 1e9 m of the origin and the quaternion is not 0.
         """
         numbers = tuple(float(value) for value in values)
         if len(numbers) != 7 or not all(map(math.isfinite, numbers)) or not any(numbers[3:]):
             raise InputError(f"{numbers}, expected x y z, quaternion w x y z that is not 0")
+        if max(map(abs, numbers[:3])) > _FARTHEST_M:
+            raise InputError(f"{numbers}, expected x y z of at most {_FARTHEST_M:g} m")
+        # Its squares are summed up to make it of length 1.
+        if not 1 / _LARGEST_QUATERNION < math.hypot(*numbers[3:]) < _LARGEST_QUATERNION:
+            raise InputError(f"{numbers}, expected a quaternion w x y z of about length 1")
         return cls(*numbers)
 
     @property

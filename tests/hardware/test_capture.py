@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 import zmq
-from ugv_command import SETTINGS, started
+from ugv_command import SETTINGS, started, ugv
 
 from hardware.capture import capture
 from hardware.drivers import DeviceError, Patience, SpiCamera
@@ -289,6 +289,15 @@ def test_slots_that_were_lost_are_warned_of(files: list[str | Path], tmp_path: P
         _, err = ended(process)
     assert process.returncode == 0, err
     assert re.search(r"warning: /radar/record: 66\.7 % of its 48 slots are overrun", err)
+
+
+def test_a_place_on_the_rig_that_is_none_is_told_by_its_file(
+    files: list[str | Path], tmp_path: Path
+) -> None:
+    (rig := tmp_path / "rig.toml").write_text("spi = [0, 0, [], 1, 0, 0, 0]\n")
+    done = ugv("capture", "spi:///dev/null", *files, "--rig", rig, "-o", tmp_path / "x.mcap")
+    assert done.returncode == 2
+    assert f"{rig}: spi: [0, 0, [], 1, 0, 0, 0], expected 7 finite numbers" in done.stderr
 
 
 def test_a_duration_of_nothing_is_refused(files: list[str | Path], tmp_path: Path) -> None:

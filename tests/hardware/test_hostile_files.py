@@ -351,6 +351,8 @@ def test_numbers_that_cannot_be_are_told_with_their_field(
     [
         ("pose = [1, 2]", r"pose: \(1.0, 2.0\), expected x y z"),
         ("pose = [0, 0, 0, 0, 0, 0, 0]", "pose: .* that is not 0"),
+        ("pose = [1e308, 0, 0, 1, 0, 0, 0]", "pose: .* expected x y z of at most 1e\\+09 m"),
+        ("pose = [0, 0, 0, 1e200, 0, 0, 0]", "pose: .* of about length 1"),
         ("pose = 3", "pose: 3, expected a list of 7 numbers"),
         ('shutters = "x"', "shutters: 'x', expected a list of lists of 4 numbers"),
         ("shutters = [[1e6, 0, 1e-9, 1e-9]]", "shutters: .* one shutter is not both"),

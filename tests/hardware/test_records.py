@@ -54,7 +54,7 @@ def test_format_and_schema_version_are_fixed(tmp_path: Path) -> None:
     """Whoever changes the layout must change the version, and this test with it."""
     write_record(make_record(), tmp_path / "r.h5")
     with h5py.File(tmp_path / "r.h5") as file:
-        assert file.attrs["format"] == "ugv-spi-record"
+        assert file.attrs["format"] == b"ugv-spi-record"  # of fixed length, for its checksum
         assert file.attrs["schema_version"] == 4
         assert file.attrs["pulse_width_s"] == 0.0
         members = {"counts", "device_time_ns", "sequence", "flags", "pose", "shutters"}

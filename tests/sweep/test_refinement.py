@@ -1,10 +1,13 @@
 """Two passes over a study that names its front: the same front as of all points as asked for."""
 
 import json
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 from studies import CLOSED
 from typer.testing import CliRunner
 
@@ -185,6 +188,42 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
             break
         assert open_sweep(out).drop_attrs().identical(whole.drop_attrs())
     assert left > 10
+
+
+def test_numbers_that_were_damaged_after_they_were_refined_are_computed_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of both passes, and killed at any line meanwhile: the first pass writes over the second."""
+    from twin.sweep.store import Store
+
+    monkeypatch.setattr("twin.sweep.run._RENDERED_CHUNK", 4)
+    _simulated(monkeypatch, tmp_path / "whole", FRONT, 3)
+    whole = open_sweep(tmp_path / "whole").load()
+    refined = int(np.flatnonzero(~whole["coarse"].to_numpy().ravel())[0])
+    append = Store._append
+    for left in range(6):
+        out = tmp_path / f"damaged{left}"
+        shutil.copytree(tmp_path / "whole", out)
+        shutil.rmtree(out / "results.zarr")
+        numbers = out / "points" / f"{FRONT[0]}.npy"
+        content = bytearray(numbers.read_bytes())
+        content[8 * (refined - whole["coarse"].size) + 6] ^= 16
+        numbers.write_bytes(content)
+        with pytest.raises(InputError, match="points: is damaged"):
+            open_sweep(out)
+        budget = iter([None] * left)
+
+        def killed(self: Store, entry: dict, budget=budget) -> None:
+            if next(budget, "end") == "end":
+                raise _KilledError
+            append(self, entry)
+
+        monkeypatch.setattr(Store, "_append", killed)
+        with suppress(_KilledError):
+            _simulated(monkeypatch, out, FRONT, 3)
+        monkeypatch.setattr(Store, "_append", append)
+        _simulated(monkeypatch, out, FRONT, 3)
+        xarray.testing.assert_identical(open_sweep(out).drop_attrs(), whole.drop_attrs())
 
 
 @pytest.mark.whole

@@ -73,6 +73,30 @@ def test_the_rig_sees_the_model(robot, tmp_path: Path) -> None:
     assert not lit[:, 0].any()
 
 
+@pytest.mark.parametrize("side_m", [1e-3, 0.01, 0.1, 1.0])
+def test_both_devices_see_a_model_of_any_size(side_m: float, tmp_path: Path) -> None:
+    """Corners within 10 degrees of either's axis, up and across; the detector stands 5 cm off."""
+    trimesh.creation.box((side_m, side_m, side_m)).export(tmp_path / "cube.stl")
+    notes = import_model(tmp_path / "cube.stl", tmp_path / "scene")
+    assert any("the radar, 0.3 m below" in note for note in notes) == (side_m < 0.5)
+    scene = load_scene(tmp_path / "scene")
+    corners = scene.objects[0].vertices_m
+    for name in ("emitter", "detector"):
+        origin, axes = scene.rig.device(name)
+        ahead, left, up = axes @ (corners - scene.rig.position_m - origin).T
+        assert (ahead > 0).all()
+        assert np.degrees(np.arctan2(np.abs([left, up]), ahead)).max() < 10
+
+
+def test_faces_without_an_area_are_told_and_measure_nothing(tmp_path: Path) -> None:
+    vertices = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 1]]
+    mesh = trimesh.Trimesh(vertices, [[0, 1, 2], [0, 0, 1], [0, 1, 3]], process=False)
+    mesh.export(tmp_path / "flat.stl")
+    notes = import_model(tmp_path / "flat.stl", tmp_path / "scene")
+    assert "2 faces without an area left out" in notes
+    assert any("the scene measures 1 x 1 x 1 m" in note for note in notes)
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [

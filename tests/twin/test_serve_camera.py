@@ -26,6 +26,8 @@ from hardware.drivers import DeviceError, LinkError, Patience, SpiCamera, SpiSet
 from hardware.drivers.framing import Deframer, ProtocolFrame, encode
 from hardware.drivers.messages import (
     Configure,
+    Identify,
+    Identity,
     Refusal,
     Refused,
     Start,
@@ -387,6 +389,24 @@ def test_a_second_host_is_refused(world) -> None:
             assert camera.acquire().counts.shape == (64, 1)
         with SpiCamera(server.line.url, SETTINGS, patience=PATIENCE) as again:
             assert again.acquire().counts.shape == (64, 1)
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.02, 0.1])
+def test_a_host_begins_with_a_clean_line(world, gap_s: float) -> None:
+    """Though the one before has left half a frame, and left a moment ago."""
+    ask = encode(to_frame(Identify(), 3))
+    with served(world, TcpPort("127.0.0.1", 0)) as server:
+        port = int(server.line.url.rpartition(":")[2])
+        for _ in range(4):
+            with socket.create_connection(("127.0.0.1", port), 5) as line:
+                line.sendall(ask + ask[: len(ask) // 2])
+                assert line.recv(4096)
+            time.sleep(gap_s)
+            with socket.create_connection(("127.0.0.1", port), 5) as line:
+                line.sendall(ask)
+                (answer,) = Deframer().feed(line.recv(4096))
+                assert isinstance(from_frame(answer), Identity)
+            time.sleep(0.1)
 
 
 def test_while_nobody_listens_frames_are_dropped_and_counted(world) -> None:

@@ -17,3 +17,9 @@ def test_pairs_stacked_score_as_each_alone(shape: tuple[int, int]) -> None:
     np.testing.assert_allclose(similarities(truths, images), alone, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(similarities(truths[:1], images[:1]), alone[:1], rtol=1e-9)
     assert np.isnan(alone).all() == (min(shape) < 3)
+
+
+def test_an_image_without_light_has_no_score_and_no_warning() -> None:
+    """Of a void record: nothing over nothing. Warnings are errors here."""
+    dark = np.zeros((16, 16))
+    assert np.isnan(similarity(dark, dark))

@@ -74,7 +74,8 @@ def similarity(truth: Array, image: Array) -> float:
     known = np.isfinite(truth)
     pair = (np.where(known, pixels, 0.0) for pixels in (truth, image))
     peak = float(truth[known].max(initial=0.0))
-    return float(structural_similarity(*pair, data_range=peak, win_size=window))
+    with np.errstate(divide="ignore", invalid="ignore"):  # no light anywhere: NaN
+        return float(structural_similarity(*pair, data_range=peak, win_size=window))
 
 
 def similarities(

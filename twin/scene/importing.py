@@ -17,9 +17,13 @@ from twin.scene.imported_materials import ImportedBsdfs, imported_material, text
 from twin.scene.materials import materials_of
 from twin.scene.meshes import load_quietly
 from twin.scene.objects import Array
+from twin.scene.rig import Rig
 
 _LIKELY_M = 100.0  # what is larger is drawn in millimetres, more often than not
 _LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
+_HALF_FIELD_RAD = np.radians(10)  # of the devices that the model is to fit in
+#: Of the detector beside the emitter, and of the radar below both.
+_DETECTOR_M, _RADAR_M = -Rig.detector.position_m[1], -Rig.radar.position_m[2]
 #: glTF fixes its up axis; other formats leave it open.
 _UP = {".glb": "y", ".gltf": "y"}
 _Z_UP_FROM_Y = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], dtype=float)
@@ -71,8 +75,8 @@ def import_model(
     table, _ = materials_of(folder)
     materials = ImportedBsdfs(table, material, texture_as_reflectance)
     parts, notes = _parts(loaded, model, place, materials)
-    low = np.min([part.vertices_m.min(axis=0) for part, _ in parts.values()], axis=0)
-    high = np.max([part.vertices_m.max(axis=0) for part, _ in parts.values()], axis=0)
+    corners = np.concatenate([part.corners_m.reshape(-1, 3) for part, _ in parts.values()])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     if (high - low).max() > _LARGEST_M:
         raise InputError(
             f"{model}: measures {(high - low).max():.3g} m, expected at most {_LARGEST_M:g} m"
@@ -97,6 +101,13 @@ def import_model(
         notes.append("a model in millimetres needs --scale 0.001")
     notes += [*materials.notes(), *missing_files(model)]
     notes.append("the rig was placed in front of the model, looking at it: see scene.toml")
+    off_axis = float(np.arctan2(_RADAR_M, _distance(low, high) + (high - low)[0] / 2))
+    if off_axis > _HALF_FIELD_RAD:
+        degrees = number(np.degrees(off_axis), 2)
+        notes.append(
+            f"the radar, {_RADAR_M:g} m below the camera, sees the model {degrees} degrees above "
+            "its axis: [rig.radar] of scene.toml places it"
+        )
     return notes
 
 
@@ -135,7 +146,7 @@ def _parts(
     for a file and is no id of a BSDF: ids are unique in a file.
     """
     parts: dict[str, tuple[Geometry, str]] = {}
-    skipped = 0
+    skipped = flat = 0
     for node in loaded.graph.nodes_geometry:
         with np.errstate(all="ignore"):  # what comes of it is validated
             matrix, geometry = loaded.graph[node]
@@ -155,10 +166,12 @@ def _parts(
         where = f"{model}: part {node!r}"
         raw = Geometry(mesh.vertices, mesh.faces, uv, where).without_empty_faces(where)
         placed = raw.transformed(matrix, where).without_empty_faces(where)
+        flat += len(mesh.faces) - len(placed.faces)
         parts[name] = placed, materials.bsdf(imported_material(mesh.visual), name, uv is not None)
     if not parts:
         raise InputError(f"{model}: has no faces")
-    return parts, [f"{skipped} parts without faces left out"] if skipped else []
+    left_out = {"parts without faces": skipped, "faces without an area": flat}
+    return parts, [f"{n} {what} left out" for what, n in left_out.items() if n]
 
 
 def _xml(bsdf_of: dict[str, str], bsdfs: str, origin: Array) -> str:
@@ -177,10 +190,17 @@ def _xml(bsdf_of: dict[str, str], bsdfs: str, origin: Array) -> str:
     return f'<scene version="3.0.0">\n    <integrator type="path"/>\n{bsdfs}{shapes}\n</scene>\n'
 
 
+def _distance(low: Array, high: Array) -> float:
+    """Metres before the model from which it fits into the fields of emitter and detector, of which
+    the one stands beside the other.
+    """
+    size = float((high - low)[1:].max())
+    return float(max(1.3 * size / 2, size / 2 + 1.1 * _DETECTOR_M) / np.tan(_HALF_FIELD_RAD))
+
+
 def _toml(model: Path, low: Array, high: Array) -> str:
-    """Rig in front of the model (towards +x of it, looking back), at a distance that fits it."""
-    size = float(max(high[1] - low[1], high[2] - low[2]))
-    distance = max(1.3 * size / (2 * np.tan(np.radians(10))), 0.1)
+    """Rig in front of the model (towards +x of it, looking back)."""
+    distance = _distance(low, high)
     y, z = (low[1:] + high[1:]) / 2
     digits = max(0, 2 - int(np.floor(np.log10(distance))))
     x, y, z = (round(float(v), digits) for v in (high[0] + distance, y, z))
@@ -192,7 +212,7 @@ def _toml(model: Path, low: Array, high: Array) -> str:
         "[rig.emitter]\n"
         "offset_m = [0.0, 0.0, 0.0]\n"
         "[rig.detector]\n"
-        "offset_m = [0.0, -0.05, 0.0]\n\n"
+        f"offset_m = [0.0, {-_DETECTOR_M}, 0.0]\n\n"
         "[sun]\n"
         "azimuth_deg = 40.0\n"
         "elevation_deg = 40.0\n"

@@ -136,6 +136,10 @@ class VirtualCamera:
         self._mark = Flag.RESET  # on the next exposure
         self._send_message(self._status())
 
+    def meet_host(self) -> None:
+        """Forget the half of a frame that another host has left."""
+        self._deframer = Deframer()
+
     def receive(self, data: bytes) -> None:
         """Process bytes from the host; replies are sent at once."""
         for frame in self._deframer.feed(data):

@@ -38,6 +38,10 @@ class Terminal:
         except BlockingIOError:
             return b""
 
+    def has_new_host(self) -> bool:
+        """A terminal does not see who opens it."""
+        return False
+
     def write(self, data: bytes) -> int:
         """Bytes that the line takes now."""
         try:
@@ -75,6 +79,7 @@ class TcpPort:
         self._server.setblocking(False)
         self.url = f"socket://{host}:{self._server.getsockname()[1]}"
         self._host: socket.socket | None = None
+        self._is_new = False
         self._others: dict[socket.socket, Deframer] = {}
 
     def listen(self) -> None:
@@ -90,9 +95,21 @@ class TcpPort:
 
     def read(self) -> bytes:
         """What has come; nothing where nothing has."""
+        # First of the host that is known: of one that has left the next takes the place.
+        if data := self._received():
+            return data
         self._accept()
         for other in list(self._others):
             self._refuse(other)
+        return self._received()
+
+    def has_new_host(self) -> bool:
+        """Whether another host has come since the last call; what `read` gave last is its."""
+        is_new, self._is_new = self._is_new, False
+        return is_new
+
+    def _received(self) -> bytes:
+        """What has come from the host; one that has left is hung up on."""
         if self._host is None:
             return b""
         try:
@@ -144,7 +161,7 @@ class TcpPort:
             connection.setblocking(False)
             if self._host is None:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._host = connection
+                self._host, self._is_new = connection, True
             elif len(self._others) < _MOST_REFUSED:
                 self._others[connection] = Deframer()
             else:

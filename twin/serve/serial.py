@@ -66,7 +66,12 @@ class CameraServer:
 
     def _work(self) -> float | None:
         """Do all pending work; returns seconds until there may be more, None: unknown."""
-        if data := self.line.read():
+        data = self.line.read()
+        if self.line.has_new_host():
+            self.camera.meet_host()
+            self._waiting.clear()  # it may begin in the middle of a frame
+            self._held = None
+        if data:
             self.camera.receive(data)
         self._flush()
         if self._reset:

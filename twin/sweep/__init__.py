@@ -1,7 +1,7 @@
 """Design-space sweeps: a study in, one labelled dataset out, resumable and shared over workers."""
 
+from twin.sweep.opening import open_sweep
 from twin.sweep.run import Summary, run_sweep
-from twin.sweep.store import open_sweep
 from twin.sweep.study import Study, load_study
 
 __all__ = ["Study", "Summary", "load_study", "open_sweep", "run_sweep"]

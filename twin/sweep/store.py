@@ -2,10 +2,11 @@
 
 While a sweep runs, ``points/COLUMN.npy`` (metrics and their errors) hold one number per point and
 ``journal.jsonl`` one line per finished run of points, appended after its numbers are written; and,
-before points are computed anew, to a finer tolerance, a line that says which; and one that says for
-which scores light was chosen.
+before points are computed anew, to a finer tolerance or since their numbers are damaged, a line
+that says which; and one that says for which scores light was chosen.
 Finished, ``results.zarr`` is the labelled dataset. ``study.json`` says what the points are of: the
-study, versions of the libraries, digests of all inputs.
+study, versions of the libraries, digests of all inputs. All have checksums, see
+`twin.sweep.checksums`; what is damaged is computed again when the sweep resumes.
 """
 
 import json
@@ -17,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
@@ -29,10 +29,19 @@ from twin.fidelity.knobs import NONE
 from twin.files import InputError, new_folder
 from twin.sweep.accuracy import accuracy_of, other_accuracy
 from twin.sweep.accuracy_names import KNOB, PRESET, TOLERANCE
+from twin.sweep.checksums import (
+    DamagedError,
+    is_sealed,
+    sealed,
+    sums_file,
+    unsealed,
+    write_sums,
+)
 from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
 from twin.sweep.names import MODEL_ERRORS, columns_of
+from twin.sweep.points import PointNumbers, reserve
 from twin.sweep.refinement import coarse_study, largest_errors, may_be_on_front
 from twin.sweep.study import Study
 from twin.toml import describe
@@ -48,22 +57,23 @@ _MOST_DIFFERENCES = 4
 _UNSET = "(not set)"
 #: Keys of the journal's lines, one set for each kind of line.
 _TOLD = {"renders", "errors", "warnings", "void"}
-_ENTRIES = ({"scores"}, {"refine"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
+_ENTRIES = ({"scores"}, {"refine"}, {"again"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
 
 
 class Store:
     """A sweep's folder that exists; see `create_or_resume`."""
 
     def __init__(self, out: Path) -> None:
-        self.out, plan = out, _read_plan(out)
+        self.out, plan = out, read_plan(out)
+        self._needs_seal = is_sealed(plan)
         self.study = _study_of(out, plan)
         self.chunk: int = plan["chunk"]
         self._plan = plan
-        self.arrays = {
-            name: _open_array(_array_file(out, name), self.study.n_points)
-            # A sweep begun before metrics had errors goes on without.
-            for name in plan.get("columns", self.study.metrics)
-        }
+        # A sweep begun before metrics had errors goes on without.
+        columns = plan.get("columns", self.study.metrics)
+        self._points = PointNumbers(
+            out / "points", columns, self.study.n_points, has_checksums=self._needs_seal
+        )
         self.done: set[int] = set()
         self._to_refine: set[int] = set()
         self.progress = Progress()
@@ -78,7 +88,24 @@ class Store:
             with suppress(ValueError):
                 entry = json.loads(line)
                 if isinstance(entry, dict) and any(keys <= entry.keys() for keys in _ENTRIES):
-                    self._note(entry)
+                    self._note(unsealed(entry, needs_seal=self._needs_seal))
+
+    def damaged(self) -> set[int]:
+        """All points of runs that are done in which numbers are not those that were written.
+
+        Those that a kill left half written are not done yet, or not as finely as asked.
+        """
+        differ = self._points.differ()
+        differ[list(self._to_refine - self.progress.refined)] = False
+        return {point for run in self._runs_done() if differ[run].any() for point in run.tolist()}
+
+    def _runs_done(self) -> Iterator[Points]:
+        n = self.study.n_points
+        return (np.arange(start, min(start + self.chunk, n)) for start in self.done)
+
+    def compute_again(self, points: set[int]) -> None:
+        """Have `damaged` points be done no more, which is written down before they are computed."""
+        self._append({"again": sorted(points)})
 
     def _note(self, entry: dict[str, Any]) -> None:
         if "scores" in entry:
@@ -86,6 +113,13 @@ class Store:
             return
         if "refine" in entry:
             self._to_refine |= set(entry["refine"])
+            return
+        if "again" in entry:
+            points = set(entry["again"])
+            self.progress.forget(points)
+            self.progress.refined -= points
+            self.progress.points_done -= len(points)
+            self.done -= points
             return
         if "refined" in entry:
             self.progress.forget(entry["refined"])
@@ -95,13 +129,15 @@ class Store:
         else:
             self.done.add(entry["start"])
             self.progress.points_done += entry["stop"] - entry["start"]
+            # Where the line of an earlier pass over them was lost.
+            self.progress.refined -= set(range(entry["start"], entry["stop"]))
         self.progress.renders += entry["renders"]
         self.progress.errors |= {int(index): text for index, text in entry["errors"].items()}
         for kind, found in entry["warnings"].items():
             self.progress.warned.setdefault(kind, []).extend(found["points"])
             self.progress.words.setdefault(kind, found["first"])
-        for side, points in entry["void"].items():
-            self.progress.void.setdefault(side, []).extend(points)
+        for side, void in entry["void"].items():
+            self.progress.void.setdefault(side, []).extend(void)
 
     def chosen_for(self, scores: str) -> None:
         """Note for which scores light was chosen; empty for none."""
@@ -154,9 +190,7 @@ class Store:
         ``refined``: computed anew. Raises InputError when the disk is full; everything so far stays
         readable.
         """
-        for name, array in self.arrays.items():
-            array[chunk.points] = chunk.values[name]
-            array.flush()
+        self._points.write(chunk.points, chunk.values)
         points: list[int] = chunk.points.tolist()
         which = {"refined": points} if refined else {"start": points[0], "stop": points[-1] + 1}
         entry = {
@@ -176,7 +210,7 @@ class Store:
             with (self.out / "journal.jsonl").open("a") as journal:
                 # After a kill the last line may lack its end.
                 lead = "\n" if journal.tell() and not self._ends_well() else ""
-                journal.write(lead + json.dumps(entry) + "\n")
+                journal.write(lead + json.dumps(sealed(entry)) + "\n")
         except OSError as error:
             raise self._full(error) from error
         self._note(entry)
@@ -197,15 +231,32 @@ class Store:
                 self.dataset().to_zarr(partial, mode="w", zarr_format=2, consolidated=False)
             except OSError as error:
                 raise self._full(error) from error
+            # Without its checksums a dataset is not read: what the journal holds is.
+            sums_file(final).unlink(missing_ok=True)
             shutil.rmtree(final, ignore_errors=True)
             os.replace(partial, final)
+            try:
+                write_sums(final)
+            except OSError as error:
+                raise self._full(error) from error
 
     def dataset(self) -> "xarray.Dataset":
-        """Everything so far, labelled; points not done and points that failed are NaN."""
+        """Everything so far, labelled; points not done and points that failed are NaN.
+
+        Numbers that are there already, and what is to be said of them not yet, are of points that
+        are not done.
+        """
+        not_done = np.ones(self.study.n_points, np.bool_)
+        for run in self._runs_done():
+            not_done[run] = False
+        not_done |= self._points.differ()
+        numbers = {
+            name: np.where(not_done, np.nan, array) for name, array in self._points.arrays.items()
+        }
         attributes = {
             name: json.dumps(self._plan[name]) for name in ("study", "versions", "inputs")
         }
-        return dataset(self.study, self.arrays, self._plan["labels"], self.progress, attributes)
+        return dataset(self.study, numbers, self._plan["labels"], self.progress, attributes)
 
 
 def create_or_resume(
@@ -226,16 +277,17 @@ def create_or_resume(
         "columns": columns_of(study.metrics, study.model),
     }
     if (out / "study.json").is_file():
-        _check(out, _read_plan(out), plan)
+        _check(out, read_plan(out), plan)
     elif out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not empty and holds no sweep; expected a new folder")
     else:
         with new_folder(out) as folder:
-            (folder / "points").mkdir()
-            for name in plan["columns"]:
-                _reserve(_array_file(folder, name), study.n_points)
-            (folder / "study.json").write_text(json.dumps(plan, indent=1))
-    return Store(out)
+            reserve(folder / "points", plan["columns"], study.n_points)
+            (folder / "study.json").write_text(json.dumps(sealed(plan), indent=1))
+    store = Store(out)
+    if damaged := store.damaged():
+        store.compute_again(damaged)
+    return store
 
 
 def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
@@ -275,11 +327,17 @@ def _differences(name: str, old: Any, new: Any) -> list[str]:
     return [f"{name} = {was}, not {now}" if was != now else f"{name}: other values"]
 
 
-def _read_plan(out: Path) -> dict[str, Any]:
+def read_plan(out: Path) -> dict[str, Any]:
+    """What a folder's ``study.json`` says. Raises InputError."""
     path = out / "study.json"
     try:
         plan: dict[str, Any] = read_json(path)
+        unsealed(plan, needs_seal=False)
         missing = {"study", "folder", "versions", "inputs", "labels", "chunk"} - plan.keys()
+    except DamagedError as error:
+        raise InputError(
+            f"{path}: is damaged ({error}); begin the sweep anew in another folder (--out)"
+        ) from error
     except (OSError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: can't be read as a sweep's ({error})") from error
     if missing:
@@ -289,12 +347,12 @@ def _read_plan(out: Path) -> dict[str, Any]:
 
 def stored_study(out: Path) -> Study:
     """The study that a folder's sweep is of. Raises InputError for a folder without one."""
-    return _study_of(out, _read_plan(out))
+    return _study_of(out, read_plan(out))
 
 
 def stored_inputs(out: Path) -> dict[str, str]:
     """Digests of the inputs of a folder's sweep, by kind and name."""
-    found: dict[str, str] = _read_plan(out)["inputs"]
+    found: dict[str, str] = read_plan(out)["inputs"]
     return found
 
 
@@ -310,7 +368,7 @@ def stored_accuracy(out: Path) -> Fidelity | None:
     """Knobs that a folder's sweep sets, by a tolerance or a preset and by themselves; None where
     there is no such sweep.
     """
-    said = accuracy_of(_read_plan(out)["study"]) if (out / "study.json").is_file() else {}
+    said = accuracy_of(read_plan(out)["study"]) if (out / "study.json").is_file() else {}
     if TOLERANCE in said:
         knobs = Tolerance.of(str(said[TOLERANCE])).knobs()
     elif said.get(PRESET) in PRESETS:
@@ -322,55 +380,3 @@ def stored_accuracy(out: Path) -> Fidelity | None:
     if named.get("motion_tolerance") == NONE:
         named["motion_tolerance"] = None
     return knobs.with_(named)
-
-
-def _array_file(folder: Path, metric: str) -> Path:
-    return folder / "points" / f"{metric.replace(':', '.')}.npy"
-
-
-def _reserve(path: Path, n: int) -> None:
-    """One number per point, room for all of them taken at once: a full disk is found now."""
-    array = open_memmap(path, mode="w+", dtype=np.float64, shape=(n,))
-    with path.open("r+b") as file:
-        os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    for start in range(0, n, 2**20):
-        array[start : start + 2**20] = np.nan
-    array.flush()
-
-
-def _open_array(path: Path, n: int) -> "np.memmap[Any, np.dtype[np.float64]]":
-    """One number per point, as `_reserve` made it; InputError for anything else.
-
-    A file cut short is no array to go on with: where it is mapped for writing it grows again, and
-    its end reads as zeros.
-    """
-    try:
-        begun = np.load(path, mmap_mode="r")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
-        fault = str(error)
-    else:
-        is_whole = begun.shape == (n,) and begun.dtype == np.float64
-        fault = "" if is_whole else f"{begun.dtype} {begun.shape}, expected float64 {(n,)}"
-    if fault:
-        raise InputError(
-            f"{path}: is damaged ({fault}): expected the numbers of {n} points; begin the sweep "
-            "anew in another folder (--out)"
-        )
-    return open_memmap(path, mode="r+")
-
-
-def open_sweep(out: str | Path) -> "xarray.Dataset":
-    """A sweep's dataset: finished, or what there is of it so far.
-
-    Raises InputError for a folder without one.
-    """
-    import xarray
-
-    out = Path(out)
-    if (out / "results.zarr").is_dir():
-        return xarray.open_zarr(out / "results.zarr", consolidated=False)
-    if not (out / "study.json").is_file():
-        raise InputError(f"{out}: holds no sweep")
-    return Store(out).dataset()
