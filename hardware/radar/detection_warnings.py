@@ -63,6 +63,20 @@ def shifted_ranges(
     ]
 
 
+def beside_the_reference(points: Sequence[Detection], interval: DemodulatedBurst) -> list[str]:
+    """A warning of detections that the reference of carrier steps hides a part of."""
+    reference_m = C_M_PER_S / 2 * interval.joined_by_s
+    cell_m = interval.waveform.range_cell_m
+    count = sum(abs(point.range_m - reference_m) < cell_m for point in points)
+    if not count:
+        return []
+    return [
+        f"range: {count} of {len(points)} detections within a cell ({cell_m:.2g} m) of the leakage "
+        f"at {reference_m:.2g} m: they may be what is left of it; echoes nearer to it appear there, "
+        "weaker than they are"
+    ]
+
+
 def moving_side_lobes(
     points: Sequence[Detection], interval: DemodulatedBurst, how: Processing
 ) -> list[str]:
