@@ -72,8 +72,8 @@ def beside_the_reference(points: Sequence[Detection], interval: DemodulatedBurst
         return []
     return [
         f"range: {count} of {len(points)} detections within a cell ({cell_m:.2g} m) of the leakage "
-        f"at {reference_m:.2g} m: they may be what is left of it; echoes nearer to it appear there, "
-        "weaker than they are"
+        f"at {reference_m:.2g} m: they may be what is left of it, and nearer echoes appear there, "
+        "too weak"
     ]
 
 
