@@ -68,3 +68,12 @@ def test_ranges_are_those_from_the_middle_of_the_phase_centres(off_m: float) -> 
     assert found.range_m == pytest.approx(ways.mean() / 2, abs=4 * found.range_error_m + 2e-5)
     middle = np.array([0, off_m / 2, 0])
     assert found.range_m == pytest.approx(np.linalg.norm(place - middle), abs=5e-3)
+
+
+@pytest.mark.parametrize(("counts", "is_told"), [(0.2, True), (0.4, True), (0.7, False)])
+def test_noise_of_less_than_half_a_count_is_told(counts: float, is_told: bool) -> None:
+    """Of 0.2 counts an echo of 30 dB is 10 dB too weak by rounding, of 0.35 counts 0.6 dB."""
+    record = cube(WIDE, [])
+    noise = np.random.default_rng(0).normal(0, counts, record.iq.shape)
+    frame = process(replace(record, iq=np.rint(noise).astype(np.int16)))
+    assert any("less than half a count" in told for told in frame.warnings) == is_told
