@@ -140,7 +140,7 @@ def _possible_rates(echo: EchoMeasurement, waveform: OfdmWaveform, fastest: floa
     """`ambiguous_rates` of an echo: one as fast as ``fastest`` may be measured beyond it, by its
     error.
     """
-    beyond = min(_ERRORS * echo.delay_rate_error, waveform.delay_rate_cell)
+    beyond = float(np.fmin(_ERRORS * echo.delay_rate_error, waveform.delay_rate_cell))
     return ambiguous_rates(waveform, echo.delay_rate, fastest + beyond)
 
 
