@@ -60,6 +60,7 @@ _COARSE = 32  # blocks along each axis of the search; a target at its edge loses
 _SMEAR_FACTOR = 1.3  # see `_may_hide_another`
 _WEAKEST = 0.05  # of the power of a body: the weakest second body searched in the same cell
 _OF_FRAGMENT = 10.0  # either way: power of an echo's smear over that of the detection it explains
+_ERRORS = 4.0  # standard errors of a rate, by which it may be measured beyond the fastest
 _OF_REST = 10.0  # power of what is taken for another echo over that of a stronger one's side lobe
 _LEAST_MIGRATION = 1.5  # cells of migration per span needed to separate two bodies of one cell
 _NEGLIGIBLE = 0.1  # of a cell's noise: contributions of other echoes that need no subtraction
@@ -89,7 +90,7 @@ def resolve_delay_rates(
     fastest = fastest_resolved(waveform, fastest)
     if waveform.n_slots == 1:  # no rate is measured
         return list(echoes)
-    several = [len(ambiguous_rates(waveform, echo.delay_rate, fastest)) > 1 for echo in echoes]
+    several = [len(_possible_rates(echo, waveform, fastest)) > 1 for echo in echoes]
     if not any(several):
         return [_folded(echo, waveform) for echo in echoes]
     delay_s = np.array([echo.delay_s for echo in echoes])
@@ -135,6 +136,14 @@ def resolve_delay_rates(
     return without_duplicates(resolved, waveform, folded=False)
 
 
+def _possible_rates(echo: EchoMeasurement, waveform: OfdmWaveform, fastest: float) -> Array:
+    """`ambiguous_rates` of an echo: one as fast as ``fastest`` may be measured beyond it, by its
+    error.
+    """
+    beyond = float(np.fmin(_ERRORS * echo.delay_rate_error, waveform.delay_rate_cell))
+    return ambiguous_rates(waveform, echo.delay_rate, fastest + beyond)
+
+
 def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
     """An echo with the slowest of the rates of its Doppler shift: near the edge of the ambiguity it
     may have been measured beyond it.
@@ -155,7 +164,7 @@ def _with_likeliest_rate(
     """An echo with its likeliest delay rate, measured again where that is another one, and the
     likelihood of each rate; the ``others`` are already subtracted from ``blocks``.
     """
-    rates = ambiguous_rates(waveform, echo.delay_rate, fastest)
+    rates = _possible_rates(echo, waveform, fastest)
     evidence = rate_evidence(blocks, rates, noise_w)
     best, *rest = evidence.candidates.tolist()
     if _is_other_fold(float(rates[best]), echo, waveform):

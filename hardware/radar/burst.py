@@ -54,6 +54,8 @@ class DemodulatedBurst:
         Of carrier steps, see `range_per_rate_s` and `scatter_per_rate`; with one carrier 0.
     range_error_m
         Of carrier steps, see `StitchedChannel`: in the stated error of every range.
+    joined_by_s
+        Delay of the reference that carrier steps were joined by; NaN with one carrier.
     removed_variance
         In rad^2, of the phases of slots that were removed by the leakage: in the mean of its own
         slots each transmitter keeps them.
@@ -73,6 +75,7 @@ class DemodulatedBurst:
     scatter_per_rate: float = 0.0
     range_error_m: float = 0.0
     removed_variance: float = 0.0
+    joined_by_s: float = float("nan")
 
 
 def demodulate(
@@ -146,6 +149,7 @@ def demodulate(
             if not seen:
                 leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
     coupling_s = scatter = range_error_m = 0.0
+    joined_by_s = float("nan")
     cube = [
         _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
     ]
@@ -158,11 +162,12 @@ def demodulate(
         coupling_s = range_per_rate_s(carriers_hz, times_s)
         scatter = scatter_per_rate(carriers_hz, times_s, wave)
         has_reference = seen or reference_delay_s is not None
+        joined_by_s = leakage_s if reference_delay_s is None else reference_delay_s
         stitched = stitch(
             np.stack(cube, axis=1).astype(np.complex128),
             own,
             carriers_hz,
-            leakage_s if reference_delay_s is None else reference_delay_s,
+            joined_by_s,
             step_times_s=times_s,
             range_rate_m_per_s=range_rate_m_per_s,
             reference_seen=has_reference,
@@ -192,6 +197,7 @@ def demodulate(
         scatter_per_rate=scatter,
         range_error_m=range_error_m,
         removed_variance=removed_variance,
+        joined_by_s=joined_by_s,
     )
 
 

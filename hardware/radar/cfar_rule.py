@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_choice, check_count
 from hardware.radar.k_distribution import quantile, survival
-from hardware.radar.windows import correlation, normalised_window
+from hardware.radar.windows import correlation, main_lobe, normalised_window
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -89,6 +89,18 @@ class Cfar:
 def has_training_cells(shape: tuple[int, ...], cfar: Cfar) -> bool:
     """Whether the guard cells leave any of a map."""
     return any(size > 2 * guard + 1 for size, guard in zip(shape, cfar.guard, strict=True))
+
+
+def one_echo_fills(shape: tuple[int, ...], cfar: Cfar, window: str, oversampling: int = 1) -> bool:
+    """Whether the main lobe of one echo may hold as many training cells of another as ``os`` leaves
+    above its reference: beside it the other's threshold is that of the lobe.
+    """
+    lobe = [
+        min((2 * main_lobe(window, size // oversampling) + 1) * oversampling, size)
+        for size in shape
+    ]
+    cells = min(int(region.sum()) for region in _regions(shape, cfar))
+    return float(np.prod(lobe)) > (1 - QUANTILE) * cells
 
 
 @dataclass(frozen=True, eq=False)

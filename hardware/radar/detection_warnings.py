@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hardware.radar.burst import DemodulatedBurst
-from hardware.radar.cfar_rule import has_training_cells
+from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
 from hardware.radar.detection import Detection
 from hardware.radar.k_distribution import ClutterFit
 from hardware.radar.range_doppler import RangeDopplerMap
@@ -60,6 +60,20 @@ def shifted_ranges(
     return [
         f"range: one slot tells no range rate; up to {how.fastest_m_per_s:g} m/s (fastest_m_per_s) "
         f"Doppler within the symbol shifts ranges by up to {shift_m:.2g} m, which no error holds"
+    ]
+
+
+def beside_the_reference(points: Sequence[Detection], interval: DemodulatedBurst) -> list[str]:
+    """A warning of detections that the reference of carrier steps hides a part of."""
+    reference_m = C_M_PER_S / 2 * interval.joined_by_s
+    cell_m = interval.waveform.range_cell_m
+    count = sum(abs(point.range_m - reference_m) < cell_m for point in points)
+    if not count:
+        return []
+    return [
+        f"range: {count} of {len(points)} detections within a cell ({cell_m:.2g} m) of the leakage "
+        f"at {reference_m:.2g} m: they may be what is left of it, and nearer echoes appear there, "
+        "too weak"
     ]
 
 
@@ -124,7 +138,9 @@ def scattered_phases(burst: int, variance: float, n_left_out: int) -> list[str]:
 def of_the_map(
     burst: int, image: RangeDopplerMap, how: Processing, clutter: ClutterFit
 ) -> list[str]:
-    """Warnings of a map without training cells and of clutter in it."""
+    """Warnings of a map without training cells, or so few that an echo fills them, and of clutter
+    in it.
+    """
     cells = image.power_w.shape
     warnings = []
     if not has_training_cells(cells, how.cfar):
@@ -132,6 +148,12 @@ def of_the_map(
             f"burst {burst}: nothing can be detected on a map of {cells[0]} x {cells[1]} cells, "
             f"which the guard cells of CFAR cover, {how.cfar.guard[0]} and {how.cfar.guard[1]} to "
             "each side (a Cfar with a smaller guard leaves training cells)"
+        )
+    elif one_echo_fills(cells, how.cfar, how.window, image.oversampling):
+        warnings.append(
+            f"burst {burst}: on a map of {cells[0]} x {cells[1]} cells the main lobe of one echo "
+            f"({how.window}) fills the training cells of CFAR: weaker echoes beside it, and some "
+            "that are alone, may not be detected"
         )
     if not clutter.is_noise and how.cfar.shape == float("inf"):
         warnings.append(

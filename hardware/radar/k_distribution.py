@@ -17,7 +17,7 @@ Power = NDArray[np.floating[Any]]
 
 _LEVEL = 3e-3  # exceeded by noise: rare enough for shapes to differ, frequent enough to count
 _ROWS = 16  # range cells that share a median
-_ECHO = 100.0  # times the median, above which a cell and its surroundings count as an echo
+_ECHO = 12.0  # times that level, above which a cell and its surroundings count as an echo
 _BESIDE = 8  # cells around it
 _CLUMPS = 2.0  # of noise, as many cells as the main lobe of an echo below `_ECHO`
 _SHAPES = np.geomspace(0.1, 100.0, 31)
@@ -119,7 +119,7 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     relative = relative.reshape(-1, power.shape[1])
     usable = np.repeat(~silent, rows)[:, None] & np.ones(power.shape[1], dtype=bool)
     usable &= ~np.isnan(relative)
-    loud = relative > _ECHO * max(1.0, 1 / looks)
+    loud = relative > _ECHO * _level(looks)
     if loud.any():
         usable &= ~maximum_filter(loud, 2 * _BESIDE + 1, mode="wrap")
     count = int(usable.sum())

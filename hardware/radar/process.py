@@ -19,6 +19,7 @@ from hardware.radar.demodulation import Complex
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.detection_warnings import (
     ambiguous,
+    beside_the_reference,
     coupled_ranges,
     mixed_directions,
     moving_side_lobes,
@@ -43,6 +44,7 @@ from hardware.radar.slot_phases import (
     with_spread_of_others,
     without_spread,
 )
+from hardware.radar.stitching import errors_beside_reference
 from hardware.radar.superresolution import split_targets
 from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
@@ -215,6 +217,7 @@ def _detections(
     warnings += [
         *mixed_directions([fits for _, fits in cells], how),
         *shifted_ranges(points, interval.waveform, how),
+        *beside_the_reference(points, interval),
         *moving_side_lobes(points, interval, how),
     ]
     return points, [*warnings, *ambiguous(points)]
@@ -286,8 +289,18 @@ def _at_rate(
 def _detection(echo: EchoMeasurement, interval: DemodulatedBurst) -> Detection:
     """The detection of an echo, without a direction."""
     point = Detection.of(without_doppler_within_symbols(echo, interval.waveform))
-    error_m = float(np.hypot(point.range_error_m, interval.range_error_m))
-    return replace(point, range_error_m=error_m)
+    beside_m = beside_w = 0.0
+    if not np.isnan(interval.joined_by_s):
+        away_s = echo.delay_s - interval.joined_by_s
+        cells, share = errors_beside_reference(away_s / interval.waveform.delay_cell_s)
+        beside_m, beside_w = cells * interval.waveform.range_cell_m, share * point.power_w
+    return replace(
+        point,
+        range_error_m=float(
+            np.linalg.norm([point.range_error_m, interval.range_error_m, beside_m])
+        ),
+        power_error_w=float(np.hypot(point.power_error_w, beside_w)),
+    )
 
 
 def _one_of(point: Detection, target: CellTarget, power_w: float) -> Detection:

@@ -30,6 +30,7 @@ _CERTAIN = 5.0  # standard errors above which an image or an offset is significa
 _SUSPECTED = 2.5  # and above which it is worth more than a first look
 _FEWEST = 8  # subcarriers, with which anything is told
 _DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
+_HALF = 0.5  # of `_alike`, from which on samples of the branches are dependent
 _ROUNDED = 1.0  # counts rms, below which the converters' rounding makes branches alike
 _DRIFT = 2  # degree in time up to which an offset changes within a burst
 _SPREAD = 4.0  # delays over which an image spreads, at least
@@ -76,13 +77,27 @@ def _check_changing(steps: Sequence[Complex]) -> None:
 
 
 def _check_independent(ratios: NDArray[np.complex128], steps: Sequence[Complex]) -> None:
-    """Branches that change by less than a count may be alike by rounding; others may not."""
+    """Branches that change by less than a count may be alike by rounding; others may not, where the
+    samples themselves are: quiet delays of few subcarriers look alike by chance, 1 in 300.
+    """
     for receiver in np.flatnonzero(np.abs(ratios) > _DEPENDENT).tolist():
-        if any(step[:, receiver].std() > _ROUNDED for step in steps):
+        if any(
+            step[:, receiver].std() > _ROUNDED and _alike(step[:, receiver]) > _HALF
+            for step in steps
+        ):
             raise InputError(
                 f"receiver {receiver}: the image is {np.abs(ratios[receiver]):.3g} times the "
                 "signal, expected far less: I and Q depend on each other, as where a branch is dead"
             )
+
+
+def _alike(samples: Complex) -> float:
+    """How far two branches are one signal: 1 where one is the other's multiple, or dead; near 0 of
+    echoes and noise.
+    """
+    changing = samples - samples.mean()
+    square = np.mean(changing * changing)
+    return float(np.abs(square) / np.mean(np.abs(changing) ** 2))
 
 
 def _without_drift(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:

@@ -89,6 +89,8 @@ def weak_echoes(
     come = float(np.mean(gammaincc(looks, looks * factor * (1 + tiles / (even_w or 1.0)))))
     share = come / cfar.false_alarm
     lobes = tiles[rows // _TILE, columns // _TILE]
+    if len(lobes):  # the highest cell is no side lobe; in a small map its own bound covers all
+        lobes[np.argmax(power[rows, columns])] = 0.0
     clear = power[rows, columns] > _ON_CELLS * factor * (even_w + lobes)
     rows, columns, lobes = rows[clear], columns[clear], lobes[clear]
     level = _between_cells(images, (rows, columns), *_NEXT)

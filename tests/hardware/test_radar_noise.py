@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
+from hardware.radar import Cfar, MapNoise, OfdmWaveform, cfar_threshold, range_doppler
 from hardware.radar.k_distribution import fit, survival
 from hardware.radar.process import process
 from hardware.radar.settings import Processing
@@ -204,3 +204,18 @@ def test_one_echo_in_a_map_of_few_cells_is_no_clutter(n_ranges, n_slots, snr_db:
 def test_impossible_shapes(shape) -> None:
     with pytest.raises((ValueError, TypeError), match="shape"):
         Cfar(shape=shape)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_several_echoes_on_eight_channels_are_no_clutter(seed: int) -> None:
+    """Four of 28 to 33 dB: below 100 times the median, and with eight channels far above noise."""
+    rng = np.random.default_rng(seed)
+    wave = OfdmWaveform(79e9, 64, 4e6, 32, 20e-6, 1, 0.25e-6)
+    f, t = wave.frequency_offsets_hz[:, None], wave.slot_times_s
+    channel = rng.normal(size=(8, 64, 32, 2)).view(np.complex128)[..., 0] / np.sqrt(2)
+    for place, snr_db in enumerate((28, 30, 31, 33)):
+        delay_s, doppler_hz = (6.3 + 15 * place) * wave.delay_cell_s, rng.uniform(-2e4, 2e4)
+        echo = np.exp(2j * np.pi * (doppler_hz * t - f * delay_s + rng.uniform(size=(8, 1, 1))))
+        channel += 10 ** (snr_db / 20) / np.sqrt(8 * 64 * 32) * echo
+    image = range_doppler(channel, wave)
+    assert fit(image.power_w, 8, 7.0).is_noise

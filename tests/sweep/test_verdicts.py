@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray
 from designs import changed
 from studies import CLOSED, SMALL, write
 
@@ -16,9 +17,9 @@ from twin.camera import capture
 from twin.files import InputError
 from twin.scene import load_scene
 from twin.sweep import Study, load_study, open_sweep, run_sweep
-from twin.sweep.dataset import column
+from twin.sweep.dataset import column, warned_points
 from twin.sweep.effects import check_points
-from twin.sweep.evaluate import evaluate_chunk, outcome_of
+from twin.sweep.evaluate import evaluate_chunk, kind_of, outcome_of
 from twin.sweep.front import all_points
 from twin.sweep.inputs import inputs_of
 from twin.sweep.sensitivity import sensitivities
@@ -310,7 +311,29 @@ def test_a_point_has_the_warnings_of_the_radars_processing(tmp_path: Path) -> No
     plan = load_study(write(tmp_path, '[grid]\n"radar.waveform.n_slots" = [4]\n', head))
     told = outcome_of(plan, 0).radar.frame.warnings
     assert any("range rate: ambiguous" in warning for warning in told)
-    assert evaluate_chunk(plan, 0, 1).warnings["processing"] == {0: "; ".join(told)}
+    given = evaluate_chunk(plan, 0, 1).warnings
+    assert {text for said in given.values() for text in said.values()} >= set(told)
+    assert given["processing:range-rate-ambiguous-for-of"][0].startswith("range rate: ambiguous")
+
+
+def test_kinds_of_processing_warnings_hold_no_figures() -> None:
+    """The same warning of two points is of one kind; the one with prototype at every point is not
+    that of a reference below an echo, which it had hidden.
+    """
+    weak = "carrier steps: the reference is {} dB above the strongest echo (expected 6.5 dB)"
+    holds = "range: holds at a range rate of 0 m/s (range_rate_m_per_s): carrier steps one after"
+    assert kind_of(weak.format("4.6")) == kind_of(weak.format("-3"))
+    assert kind_of(weak.format("4.6")) != kind_of(holds)
+    assert kind_of("burst 0: IQ is all zero") == kind_of("burst 12: IQ is all zero")
+    assert " " not in kind_of(holds)
+
+
+def test_what_few_points_are_warned_of_comes_first() -> None:
+    marks = {"a": [1, 1, 1, 1], "b": [0, 0, 1, 0], "c": [0, 1, 1, 0]}
+    data = xarray.Dataset(
+        {f"warned.{k}": ("point", np.array(v, bool), {"first": k}) for k, v in marks.items()}
+    )
+    assert [one.kind for one in warned_points(data)] == ["b", "c", "a"]
 
 
 def test_an_object_takes_its_target_along(tmp_path: Path) -> None:

@@ -147,6 +147,46 @@ def test_a_drive_that_is_asked_to_end_is_gone_on_with(whole: Path, tmp_path: Pat
     assert path.read_bytes() == whole.read_bytes()
 
 
+def test_what_a_time_allows_is_measured_once_in_a_drive(
+    whole: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """`--within` would choose otherwise each time; the log has the knobs it was begun with."""
+    import twin.trade
+    from twin.trade.time_limit import TimedFidelity, TimedShare
+
+    chosen = iter([4, 8, 16])
+
+    def within(*_: object, fixed: dict[str, object], **__: object) -> TimedFidelity:
+        knobs = FAST.with_(samples=next(chosen), motion_tolerance=None).with_(fixed)
+        return TimedFidelity(knobs, TimedShare(0.2, 0.1), None)
+
+    monkeypatch.setattr(twin.trade, "fidelity_within", within)
+    small = tmp_path / "small.toml"
+    small.write_text(
+        'base = "workable"\n[emitter]\nrows = { value = 8, assumed = "small" }\n'
+        'columns = { value = 8, assumed = "small" }\n'
+        '[acquisition]\nn_patterns = { value = 64, assumed = "small" }\n'
+    )
+    path, uncut = tmp_path / "cut.mcap", tmp_path / "uncut.mcap"
+    options = ["--radar", "none", "--system", str(small), "--duration", "40 ms", "--within", "1 s"]
+
+    def run(out: Path, *more: str) -> str:
+        app(["drive", "yard", "--out", str(out), *options, *more], standalone_mode=False)
+        return capsys.readouterr().out
+
+    run(uncut)
+    path.write_bytes(uncut.read_bytes()[:-3000])
+    assert "gone on with" in run(path)
+    assert path.read_bytes() == uncut.read_bytes()
+    with pytest.raises(InputError, match=r"log of another drive \(fidelity.motion_tolerance: "):
+        run(path, "--motion-tolerance", "0.3")
+    with pytest.raises(InputError, match=r"another drive \(.*fidelity.samples: 4, not 64"):
+        drive(plan(fidelity=FAST.with_(samples=64)), whole)
+
+
 def test_other_files_are_refused_and_left_as_they_are(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "other.mcap"
     path.write_bytes(whole.read_bytes()[:3000])

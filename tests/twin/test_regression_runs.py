@@ -183,7 +183,7 @@ def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:
 
 
 def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
-    """Ranges 5 mm too long, the farthest target dropped, a ghost: each in the metric that is its.
+    """Ranges 5 mm too long, all beyond 10 m dropped, a ghost: each in the metrics that are its.
 
     Targets are points: bodies have several echoes, among which millimetres are nothing.
     """
@@ -208,7 +208,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
     assert not any(v.worse for v in compare(RADAR_METRICS, good, good))
     for detector, expected in (
         (too_far, {"range_error_m", "range_offset_m"}),
-        (forgetful, {"range_error_m", "missed"}),
+        (forgetful, {"range_error_m", "missed", "lost_echoes"}),
         (sees_ghosts, {"unmatched"}),
     ):
         verdicts = compare(RADAR_METRICS, good, figures(detector))
@@ -266,3 +266,52 @@ def test_several_poses_in_turn(twin_truth, tmp_path: Path) -> None:
         camera(lmmse, poses=poses[:1])
     with pytest.raises(ValueError, match="at least 2 of each of 9 poses"):
         camera(lmmse, poses=poses[:1] * 9)
+
+
+def test_carrier_steps_are_judged_by_the_cell_of_all_together(twin_truth) -> None:
+    """A detection 5 m from everything is no target, though one step's cell has 7.5 m."""
+    scene, radar = load_scene("yard"), load_radar("prototype")
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+    visible = [target for target in capture.truth if target.visible]
+    far = max(target.range_m for target in visible) + 5
+
+    def elsewhere(record):
+        return [replace(vehicle_detector(record)[0], range_m=far)]
+
+    found = run_radar(capture, radar, elsewhere, range(2), RADAR_METRICS, 1e-6)
+    assert found.results[0].range_cell_m == pytest.approx(radar.range_cell_m)
+    assert (found.figures["missed"] == len(visible)).all()
+    np.testing.assert_allclose(found.figures["range_error_m"], 2 * radar.range_cell_m)
+    assert (found.figures["unmatched"] == 1).all()
+
+
+def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> None:
+    """All 20 dB weaker; the strongest echo lost, and a ghost in its place, where none is declared:
+    these had passed, the loss as a gain.
+    """
+    scene, radar = load_scene("yard"), load_radar(RADAR)
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+
+    def weaker(record):
+        return [replace(d, power_w=d.power_w / 100) for d in vehicle_detector(record)]
+
+    def without_the_strongest(record):
+        return vehicle_detector(record)[1:]
+
+    def with_a_ghost_for_it(record):
+        first, *others = vehicle_detector(record)
+        return [replace(first, range_m=100.0), *others]
+
+    def figures(capture, detector):
+        return run_radar(capture, radar, detector, range(3), RADAR_METRICS, 1e-6).figures
+
+    def worse(capture, detector):
+        good = figures(capture, vehicle_detector)
+        verdicts = compare(RADAR_METRICS, good, figures(capture, detector))
+        return {verdict.metric.name for verdict in verdicts if verdict.worse}
+
+    assert worse(capture, weaker) == {"level_offset_db"}
+    undeclared = replace(capture, truth=())
+    assert not figures(undeclared, vehicle_detector)["lost_echoes"].any()
+    for detector in (without_the_strongest, with_a_ghost_for_it):
+        assert worse(undeclared, detector) == {"lost_echoes"}

@@ -14,6 +14,8 @@ from twin.commands.arguments import (
     ToleranceOption,
     WithinOption,
     knobs_asked,
+    named_knobs,
+    only_one,
 )
 
 
@@ -69,6 +71,7 @@ def drive(
     from hardware.interruption import asked_to_end
     from twin.drive import DeviceClock, Drive
     from twin.drive import drive as record
+    from twin.drive.log import stored_fidelity
     from twin.drive.run import progress_of
     from twin.errors import InputError
     from twin.radar import load_radar
@@ -92,16 +95,23 @@ def drive(
             raise InputError(f"clock of the {device}: {error}") from None
     if not out.parent.is_dir():
         raise InputError(f"--out: {out.parent} is no folder")
-    knobs = knobs_asked(
-        say,
-        lambda: world,
-        camera,
-        design,
-        fidelity=fidelity,
-        tolerance=tolerance,
-        within=within,
-        motion_tolerance=motion_tolerance,
-    )
+    only_one(fidelity, tolerance, within)
+    # What a time allows is measured, and comes out otherwise each time: the log's own goes on.
+    stored = None if within is None else stored_fidelity(out)
+    if stored is None:
+        knobs = knobs_asked(
+            say,
+            lambda: world,
+            camera,
+            design,
+            fidelity=fidelity,
+            tolerance=tolerance,
+            within=within,
+            motion_tolerance=motion_tolerance,
+        )
+    else:
+        knobs = stored.with_(named_knobs(motion_tolerance, None))
+        say.line(f"{out}: by the knobs of its first call, --within measures none anew")
     plan = Drive(
         scene=world,
         system=camera,

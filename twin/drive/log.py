@@ -4,6 +4,7 @@ Each event ends with a mark and closes its chunk. What a kill left is written an
 over the same bytes, which it must equal; what follows the last whole event is cut off.
 """
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -23,8 +24,10 @@ from hardware.recording import Log, read_messages
 from hardware.recording.reading import Ending, LoggedMessage
 from hardware.recording.ros import Definition
 from twin.drive.truth import CLOCK, Mark
+from twin.fidelity import Fidelity
 
 MARKS = "/truth/clock"
+_KNOB = "fidelity."
 _MAGIC_BYTES, _MOST_ABOUT_BYTES = len(MCAP0_MAGIC), 1 << 16
 
 
@@ -126,6 +129,25 @@ def _left(path: Path, about: Mapping[str, str]) -> _Left:
         if ending.fault is None and file.read() == MCAP0_MAGIC:
             return _Left(complete=True, events=marks)
     return _Left(whole=_whole_events(path))
+
+
+def words_of(knobs: Fidelity) -> dict[str, str]:
+    """Knobs among the words of a log."""
+    return {f"{_KNOB}{name}": json.dumps(value) for name, value in knobs.said().items()}
+
+
+def stored_fidelity(path: Path) -> Fidelity | None:
+    """Knobs of the drive that a log is of; None where there is no log that holds them.
+
+    Raises InputError for knobs that this software does not have.
+    """
+    found = (_about(path) if path.is_file() else None) or {}
+    knobs = {
+        name.removeprefix(_KNOB): json.loads(value)
+        for name, value in found.items()
+        if name.startswith(_KNOB)
+    }
+    return Fidelity().with_(knobs) if knobs else None
 
 
 def _count(path: Path, ending: Ending) -> int:

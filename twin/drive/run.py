@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware.recording import Log
-from twin.drive.log import DriveLog
+from twin.drive.log import DriveLog, words_of
 from twin.drive.mounting import mounting_of
 from twin.drive.plan import Drive, Event
 from twin.drive.sensors import CameraFrames, RadarBursts
@@ -72,6 +72,7 @@ def drive(
         "duration_s": repr(float(plan.duration_s)),
         "seed": str(plan.seed),
         "digest": plan.digest,
+        **words_of(plan.fidelity),
     }
     start, told = time.monotonic(), WarningCounts()
     with DriveLog(path, about) as log:

@@ -158,7 +158,7 @@ def evaluate_radar(
     it is at the first burst, is what the picture of a track and micro-Doppler are compared with;
     without it there is none of either.
     """
-    how, record = how or Processing(), _joinable(capture.record)
+    how, record = how or Processing(), joinable(capture.record)
     frame = process(record, 0, how)
     return RadarEvaluation(
         radar=radar,
@@ -171,7 +171,7 @@ def evaluate_radar(
     )
 
 
-def _joinable(record: RadarRecord) -> RadarRecord:
+def joinable(record: RadarRecord) -> RadarRecord:
     """The record; of one whose carrier steps nothing joins, the first step alone."""
     if len(record.carriers_hz) == 1 or np.isfinite(record.front_end.leakage_delay_s):
         return record

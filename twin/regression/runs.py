@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hardware import SpiRecord, reconstruct
 from hardware.patterns import Patterns
 from hardware.radar import Detection
+from hardware.radar.burst import demodulate
 from hardware.radar.process import process
 from hardware.radar.settings import Processing
 from hardware.reconstruction import method_of
@@ -24,7 +25,8 @@ from twin.files import InputError
 from twin.radar import RadarCapture, RadarDesign
 from twin.radar.acquisition import channel as received
 from twin.radar.device.front_end import digitize
-from twin.radar.evaluation import match_detections
+from twin.radar.evaluation import joinable, match_detections
+from twin.regression.echoes import strong_echoes
 from twin.regression.metrics import Metric, RadarResult
 from twin.scene import Scene
 from twin.system import System
@@ -200,15 +202,23 @@ def run_radar(
     truth = tuple(target for target in capture.truth if target.visible)
     quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
     found, content, detect = [], hashlib.sha256(), radar_detector(detector)
-    for seed in seeds:
+
+    def drawn(seed: int, *, noisy: bool = True) -> RadarRecord:
         rng = np.random.default_rng(seed)
-        taken = [digitize(burst, radar, rng=rng) for burst in quiet]
+        taken = [digitize(burst, radar, rng=rng, noisy=noisy) for burst in quiet]
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
-        record = replace(capture.record, iq=iq, flags=flags)
-        content.update(np.ascontiguousarray(iq).tobytes() + flags.tobytes())
+        return replace(capture.record, iq=iq, flags=flags)
+
+    echoes = strong_echoes(demodulate(joinable(drawn(0, noisy=False))), radar.sample_noise_w)
+    wave = echoes.waveform
+    others = echoes.without(truth)
+    for seed in seeds:
+        record = drawn(seed)
+        content.update(np.ascontiguousarray(record.iq).tobytes() + record.flags.tobytes())
         detections = _detections(detect(record))
-        matches = match_detections(detections, truth, radar.channel_waveform)
-        found.append(RadarResult(detections, matches, radar.ofdm.range_cell_m))
+        matches = match_detections(detections, truth, wave)
+        lost = others.n_lost(detections)
+        found.append(RadarResult(detections, matches, wave.range_cell_m, lost))
     figures = _figures(metrics, [truth] * len(found), found)
     return SeedResults(figures, truth, found, content.hexdigest())
 

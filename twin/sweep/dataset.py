@@ -214,14 +214,16 @@ class Warned:
 
 
 def warned_points(data: "xarray.Dataset") -> list[Warned]:
-    """All kinds of warnings that were given of a sweep's points."""
+    """All kinds of warnings that were given of a sweep's points, of the fewest points first: what
+    is said of all of them must not hide what tells them apart.
+    """
     found = []
     for name in map(str, data.data_vars):
         if name.startswith(WARNED):
             points = np.flatnonzero(data[name].to_numpy().ravel()).tolist()
             told = Warned(name.removeprefix(WARNED), tuple(points), data[name].attrs["first"])
             found.append(told)
-    return found
+    return sorted(found, key=lambda one: (len(one.points), one.kind))
 
 
 def _less_exact(data: "xarray.Dataset", scores: Tolerance) -> tuple[NDArray[np.bool_], str]:

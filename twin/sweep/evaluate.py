@@ -1,5 +1,6 @@
 """A run of points: rendered once per light, measured for each point."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +24,10 @@ from twin.sweep.shared_light import light_of, renders
 from twin.sweep.study import Study
 
 Array = NDArray[np.float64]
+
+_BURST = re.compile(r"^burst \d+: ")
+_WORD = re.compile(r"(?<![\w/])[a-z]+(?![\w/])")  # no part of a figure or a unit
+_WORDS = 5  # which tell kinds apart
 
 
 @dataclass(eq=False)
@@ -121,8 +126,13 @@ def _note(chunk: Chunk, index: int, outcome: Outcome) -> None:
             chunk.warnings.setdefault(warning.kind, {}).setdefault(index, str(warning))
         if taken.void:
             chunk.void.setdefault(side, []).append(index)
-    if "radar" in vars(outcome) and (told := outcome.radar.frame.warnings):
-        chunk.warnings.setdefault("processing", {})[index] = "; ".join(told)
+    for text in outcome.radar.frame.warnings if "radar" in vars(outcome) else ():
+        chunk.warnings.setdefault(kind_of(text), {}).setdefault(index, text)
+
+
+def kind_of(text: str) -> str:
+    """Kind of a warning of the radar's processing: its first words, without burst and figures."""
+    return f"processing:{'-'.join(_WORD.findall(_BURST.sub('', text.lower()))[:_WORDS])}"
 
 
 def _captures(outcome: Outcome) -> Iterator[tuple[str, Any]]:

@@ -39,9 +39,9 @@ class Summary:
     """What a sweep did.
 
     ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
-    points a warning was given of; ``words``: the first of each kind. ``without_effect``: parameters
-    along which no metric changed. ``n_coarse``: points that cannot be on the study's front, left at
-    a coarse tolerance; None where all are computed as asked.
+    points a warning was given of, fewest first; ``words``: the first of each kind.
+    ``without_effect``: parameters along which no metric changed. ``n_coarse``: points that cannot
+    be on the study's front, left at a coarse tolerance; None where all are computed as asked.
     """
 
     out: Path
@@ -160,7 +160,7 @@ def folder_of(study: Study, out: str | Path | None) -> Path:
 
 def _summary(store: Store) -> Summary:
     found, progress = store.dataset(), store.progress
-    warned = sorted(warned_points(found), key=lambda one: one.kind)
+    warned = warned_points(found)
     return Summary(
         out=store.out,
         n_points=store.study.n_points,
