@@ -19,6 +19,7 @@ _LEVEL = 3e-3  # exceeded by noise: rare enough for shapes to differ, frequent e
 _ROWS = 16  # range cells that share a median
 _ECHO = 12.0  # times that level, above which a cell and its surroundings count as an echo
 _BESIDE = 8  # cells around it
+_FEW = 4  # echoes that stand out, at most: more may be clutter's spikes
 _CLUMPS = 2.0  # of noise, as many cells as the main lobe of an echo below `_ECHO`
 _SHAPES = np.geomspace(0.1, 100.0, 31)
 _LOG_X = np.linspace(-16, 9, 401)
@@ -31,19 +32,23 @@ class ClutterFit:
 
     ``exceedance``: share of its cells above the level that noise exceeds in 3 of 1000 cells, over
     3 / 1000; 1 for noise. ``shape``: of the K-distribution with that exceedance, infinite for
-    noise. ``uncertain``: relative standard error of the exceedance in noise.
+    noise. ``uncertain``: relative standard error of the exceedance in noise. ``echoes``: how many
+    stand out, which were left out; at most a few count.
     """
 
     exceedance: float
     shape: float
     uncertain: float
+    echoes: int = 0
 
     @property
     def is_noise(self) -> bool:
-        """Whether the exceedance is at most 1.5, within the random error of 1, or what one echo
-        adds in so few cells that noise hardly ever exceeds the level.
+        """Whether the exceedance is at most 1.5, within the random error of 1, or what fainter
+        echoes add in so few cells that noise hardly ever exceeds the level: one, and one more for
+        each that stands out.
         """
-        return self.exceedance <= 1 + max(0.5, 4 * self.uncertain, _of_an_echo(self.uncertain))
+        few = _of_echoes(self.uncertain, 1 + self.echoes)
+        return self.exceedance <= 1 + max(0.5, 4 * self.uncertain, few)
 
     def false_alarms(self, false_alarm: float, looks: float) -> float:
         """Rate of false alarms of a threshold for noise, over the rate it was set for."""
@@ -102,7 +107,7 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     range does not matter. Surroundings of strong echoes, and cells that are NaN, are left out.
     ``clump``: number of cells that a window makes exceed together.
     """
-    from scipy.ndimage import maximum_filter
+    from scipy.ndimage import label, maximum_filter
 
     rows = min(_ROWS, len(power))
     # Few stripes are taken before they are copied: maps come transposed.
@@ -120,30 +125,31 @@ def fit(power: Power, looks: float, clump: float = 1.0) -> ClutterFit:
     usable = np.repeat(~silent, rows)[:, None] & np.ones(power.shape[1], dtype=bool)
     usable &= ~np.isnan(relative)
     loud = relative > _ECHO * _level(looks)
-    if loud.any():
+    echoes = min(label(loud)[1], _FEW) if loud.any() else 0
+    if echoes:
         usable &= ~maximum_filter(loud, 2 * _BESIDE + 1, mode="wrap")
     count = int(usable.sum())
     if not count:
-        return ClutterFit(1.0, np.inf, np.inf)
+        return ClutterFit(1.0, np.inf, np.inf, echoes)
     noise = _expected(looks, (np.inf,))[0]
     exceedance = float(np.mean(relative[usable] > _level(looks)) / noise)
     uncertain = float(np.sqrt(clump / (count * noise)))
-    if exceedance <= 1 + max(2 * uncertain, _of_an_echo(uncertain)):
-        return ClutterFit(exceedance, np.inf, uncertain)
+    if exceedance <= 1 + max(2 * uncertain, _of_echoes(uncertain, 1 + echoes)):
+        return ClutterFit(exceedance, np.inf, uncertain, echoes)
     rates = np.array(_expected(looks, tuple(_SHAPES))) / noise
     # Rates fall with the shape down to 1 for noise, as 1 / shape in the end.
     known = np.concatenate([[0.0], 1 / _SHAPES[::-1]])
     inverse = np.interp(exceedance, np.concatenate([[1.0], rates[::-1]]), known)
     # On a coarse raster: tables of nearby shapes are the same.
     shape = float(np.exp(np.round(np.log(1 / inverse), 2))) if inverse > 0 else np.inf
-    return ClutterFit(exceedance, shape, uncertain)
+    return ClutterFit(exceedance, shape, uncertain, echoes)
 
 
-def _of_an_echo(uncertain: float) -> float:
-    """What the main lobe of an echo adds to the exceedance of a map of noise: the square is what a
-    clump of its cells adds, over the expected number of clumps.
+def _of_echoes(uncertain: float, count: int) -> float:
+    """What the main lobes of a few echoes add to the exceedance of a map of noise: the square is
+    what a clump of cells of one adds, over the expected number of clumps.
     """
-    return _CLUMPS * uncertain**2
+    return count * _CLUMPS * uncertain**2
 
 
 def _level(looks: float) -> float:
