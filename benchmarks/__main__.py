@@ -22,6 +22,7 @@ _ROOMS = (
     "radar_scene",
     "radar_estimates",
     "round_obstacles",
+    "behind_fences",
     "large_scenes",
     "radar_signal",
     "radar_tables",

@@ -2,33 +2,23 @@
 
 import numpy as np
 import pytest
-from scipy.special import erfc, fresnel
 
+from benchmarks.behind_fences import (
+    AWAY_M,
+    echo_and_warnings,
+    half_plane,
+    past_posts,
+    post,
+    wall,
+)
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, plate, quad, world
 from twin.radar.propagation.diffraction import mirrors
 from twin.radar.propagation.solvers import trace
 
-K = 2 * np.pi / WAVELENGTH_M
-AWAY_M = 10.0
-
-
-def wall(border_m: float):
-    """4 m high and wide, up to a border at y."""
-    low, high = (AWAY_M, -4.0, -2.0), (AWAY_M, border_m, 2.0)
-    x, (y, z) = AWAY_M, zip(low[1:], high[1:], strict=True)
-    return quad("wall", [[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]])
-
 
 def echo(*objects) -> complex:
-    """Of the wall itself: what has no object."""
-    paths = trace(world(*objects), RADAR).paths
-    return sum(p.amplitude * np.exp(-2j * np.pi * (79e9 * p.delay_s % 1)) for p in paths)
-
-
-def half_plane(edge: np.ndarray) -> np.ndarray:
-    """Wave through all above an edge, in units of sqrt(wavelength R / 2), over that of all."""
-    s, c = fresnel(edge)
-    return (1 + 1j) / 2 * (0.5 - c - 1j * (0.5 - s))
+    """Of the wall itself."""
+    return echo_and_warnings(RADAR, objects)[0]
 
 
 @pytest.mark.parametrize("border_m", [0.1, 0.03, 0.005, -0.005, -0.03, -0.1])
@@ -41,34 +31,11 @@ def test_at_a_border_the_echo_is_a_knife_edges(border_m: float) -> None:
     assert abs(ratio - opening) < 0.03
 
 
-def behind(post_m: float, width_m: float, places_m=(0.0,)) -> complex:
-    """Past strips and their image in the mirror: the mirror's sum, brute force, across the
-    strips.
-    """
-    zone = np.sqrt(WAVELENGTH_M * AWAY_M / 2)
-    y = np.linspace(-9, 9, 18001) * zone
-    scale = np.sqrt(2 / WAVELENGTH_M * AWAY_M / (post_m * (AWAY_M - post_m)))
-    once = np.ones(len(y), dtype=complex)
-    for middle_m in places_m:
-        sides_m = middle_m - width_m / 2, middle_m + width_m / 2
-        low, high = ((side_m - y * post_m / AWAY_M) * scale for side_m in sides_m)
-        once += half_plane(high) - half_plane(low)
-    weight = erfc((np.abs(y) / zone - 6) / 0.8) * np.exp(-1j * K * y**2 / AWAY_M)
-    return complex((weight * once**2).sum() / weight.sum())
-
-
-def post(post_m: float, width_m: float, middle_m: float = 0.0):
-    """2 m high."""
-    low, high = middle_m - width_m / 2, middle_m + width_m / 2
-    corners = [[post_m, low, -1], [post_m, high, -1], [post_m, high, 1], [post_m, low, 1]]
-    return quad(f"post at {middle_m:.3f}", corners)
-
-
 @pytest.mark.parametrize(("post_m", "width_m"), [(5.0, 0.004), (5.0, 0.04), (3.0, 0.1), (8.0, 0.1)])
 def test_a_post_dims_the_wall_behind_it(post_m: float, width_m: float) -> None:
     """-0.4 to -9 dB, within 0.05 of the echo without the post; one ray gave nothing."""
     ratio = echo(wall(4.0), post(post_m, width_m)) / echo(wall(4.0))
-    assert abs(ratio - behind(post_m, width_m)) < 0.05
+    assert abs(ratio - past_posts(post_m, width_m, [0.0], WAVELENGTH_M)) < 0.05
 
 
 @pytest.mark.parametrize(("post_m", "width_m"), [(3.0, 0.1), (5.0, 0.04), (8.0, 0.1)])
@@ -79,10 +46,10 @@ def test_among_many_edges_the_integral_is_coarser(
     with a warning.
     """
     monkeypatch.setattr(mirrors, "_MOST_PAIRS", 2**14)
-    found = trace(world(wall(4.0), post(post_m, width_m)), RADAR)
-    assert not any("is not to be relied on" in text for text in found.warnings)
-    ratio = echo(wall(4.0), post(post_m, width_m)) / echo(wall(4.0))
-    assert abs(ratio - behind(post_m, width_m)) < 0.12
+    behind, warnings = echo_and_warnings(RADAR, [wall(4.0), post(post_m, width_m)])
+    assert not any("is not to be relied on" in text for text in warnings)
+    ratio = behind / echo(wall(4.0))
+    assert abs(ratio - past_posts(post_m, width_m, [0.0], WAVELENGTH_M)) < 0.12
 
 
 @pytest.mark.parametrize("posts", [4, 24])
@@ -92,9 +59,9 @@ def test_behind_a_fence_the_walls_echo_is_told_to_be_uncertain(posts: int) -> No
     """
     places_m = (np.arange(posts) - (posts - 1) / 2) * 0.05
     fence = [post(4.0, 0.02, place_m) for place_m in places_m]
-    found = trace(world(wall(4.0), *fence), RADAR)
-    told = [text for text in found.warnings if "specular echo of wall may be off by" in text]
-    error = abs(echo(wall(4.0), *fence) / echo(wall(4.0)) - behind(4.0, 0.02, places_m))
+    behind, warnings = echo_and_warnings(RADAR, [wall(4.0), *fence])
+    told = [text for text in warnings if "specular echo of wall may be off by" in text]
+    error = abs(behind / echo(wall(4.0)) - past_posts(4.0, 0.02, places_m, WAVELENGTH_M))
     assert len(told) == (posts > 4)
     assert error < (float(told[0].split("off by ")[1].split()[0]) if told else 0.02)
 

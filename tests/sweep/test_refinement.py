@@ -159,6 +159,20 @@ class _KilledError(Exception):
     pass
 
 
+def _kill_after(monkeypatch: pytest.MonkeyPatch, lines: int) -> None:
+    """Of the journal."""
+    from twin.sweep.store import Store
+
+    append, budget = Store._append, iter([None] * lines)
+
+    def killed(self: Store, entry: dict) -> None:
+        if next(budget, "end") == "end":
+            raise _KilledError
+        append(self, entry)
+
+    monkeypatch.setattr(Store, "_append", killed)
+
+
 def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,14 +184,7 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     whole = open_sweep(tmp_path / "whole")
     append = Store._append
     for left in range(1, 40, 3):
-        budget = iter([None] * left)
-
-        def killed(self: Store, entry: dict, budget=budget) -> None:
-            if next(budget, "end") == "end":
-                raise _KilledError
-            append(self, entry)
-
-        monkeypatch.setattr(Store, "_append", killed)
+        _kill_after(monkeypatch, left)
         out = tmp_path / f"killed{left}"
         try:
             _simulated(monkeypatch, out, FRONT, 3)
@@ -211,14 +218,7 @@ def test_numbers_that_were_damaged_after_they_were_refined_are_computed_to_the_s
         numbers.write_bytes(content)
         with pytest.raises(InputError, match="points: is damaged"):
             open_sweep(out)
-        budget = iter([None] * left)
-
-        def killed(self: Store, entry: dict, budget=budget) -> None:
-            if next(budget, "end") == "end":
-                raise _KilledError
-            append(self, entry)
-
-        monkeypatch.setattr(Store, "_append", killed)
+        _kill_after(monkeypatch, left)
         with suppress(_KilledError):
             _simulated(monkeypatch, out, FRONT, 3)
         monkeypatch.setattr(Store, "_append", append)

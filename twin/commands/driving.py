@@ -96,7 +96,7 @@ def drive(
     if not out.parent.is_dir():
         raise InputError(f"--out: {out.parent} is no folder")
     only_one(fidelity, tolerance, within)
-    # What a time allows is measured, and comes out otherwise each time: the log's own goes on.
+    # What a time allows is measured, never twice the same: a log goes on with what was chosen.
     stored = None if within is None else stored_fidelity(out)
     if stored is None:
         knobs = knobs_asked(

@@ -63,11 +63,12 @@ def mirror_echoes(
         flat = prepared.flats[image.patches[0]]
         passed = None if obstacles is None else passed_twice(obstacles, flat)
         if passed is not None:
-            name = prepared.items[flat.object].name
-            off[name] = max(passed.off, off.get(name, 0.0))
-        if passed is not None and np.isfinite(passed.off):
-            factor[row] = passed.factor * _is_met(prepared, image)
-            border = replace(border, amplitude=border.amplitude * passed.factor)
+            is_met, name = _is_met(prepared, image), prepared.items[flat.object].name
+            if is_met or len(border.point):
+                off[name] = max(passed.off, off.get(name, 0.0))
+            if np.isfinite(passed.off):
+                factor[row] = passed.factor * is_met
+                border = replace(border, amplitude=border.amplitude * passed.factor)
         parts.append(_over_border(echoes.take(np.full(len(border.point), row)), border, prepared))
     some = np.flatnonzero(factor)
     whole = echoes.take(some)
