@@ -26,7 +26,7 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
     truth, missed = capture.truth, evaluation.missed
     reach_m, excess = reach_of(evaluation, 1.0), noise_excess_db(evaluation)
     excess_db, nepers = excess.value, excess.noise * np.log(10) / 10
-    state, beyond = _state(evaluation), evaluation.beyond_tolerance
+    state, beyond = _state(evaluation), bool(evaluation.beyond_tolerance)
     result = (
         f"{len(truth) - len(missed)} of {len(truth)} targets"
         if truth
@@ -37,7 +37,7 @@ def radar_finding(evaluation: RadarEvaluation) -> Finding:
         radar.name,
         radar.description,
         state,
-        f"{result}; echoes {beyond}" if beyond else result,
+        f"{result}; echoes less exact than asked" if beyond else result,
         (
             ("What is seen", _seen(evaluation)),
             ("To what distance", _how_far(evaluation, reach_m)),
@@ -94,6 +94,8 @@ def _seen(evaluation: RadarEvaluation) -> str:
         told.append(f"{counted(others, 'detection')} of other surfaces")
     if evaluation.picture:
         told.insert(0, str(evaluation.picture))
+    if beyond := evaluation.beyond_tolerance:
+        told.append(f"echoes {beyond}")
     return (
         "; ".join(told) if evaluation.detections else f"no detection at all; {evaluation.headline}"
     )
