@@ -102,9 +102,10 @@ def system() -> System:
 def test_every_exposure_to_a_textured_plane_is_the_closed_form(
     plane: Plane, velocity_m_per_s: tuple[float, float], system: System
 ) -> None:
-    """Paths and interpolation in time may each be off by 0.1 of a count's noise. Where cells are
-    no longer followed once a middle is right (`Effort.many_edges`), rms errors are 0.19 of it with
-    the coarse texture and 0.17 with the fine one.
+    """Paths and interpolation in time may each be off by 0.1 of a count's noise, their sum by 0.14.
+    Of eight seeds rms errors are 0.034 to 0.049 of it with the coarse texture, 0.076 to 0.110 with
+    the fine one. Where cells are no longer followed once a middle is right (`Effort.many_edges`),
+    they are 0.19 and 0.17.
     """
     scene = world(going(plane.item, 0.0, *velocity_m_per_s))
     fidelity = Fidelity(light_tolerance=TOLERANCE, motion_tolerance=TOLERANCE)
@@ -124,5 +125,5 @@ def test_every_exposure_to_a_textured_plane_is_the_closed_form(
     still = watt * lit @ cells[len(cells) // 2]
     error = (frame.signal_w[:, 0, 0] - true) / noise
     assert np.std(true - still) > 10 * noise
-    assert np.sqrt(np.mean(error**2)) < TOLERANCE
+    assert np.sqrt(np.mean(error**2)) < np.sqrt(2) * TOLERANCE
     assert np.abs(error).max() < 4 * TOLERANCE
