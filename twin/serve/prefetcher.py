@@ -35,9 +35,11 @@ class Prefetcher(Generic[_Item]):
         Item k, which depends on k and ``args`` alone; it and what it gives can be pickled.
     args
         See `begin_again`.
+    begins_later
+        The device does not run before `begin_again`, and waits again then.
     """
 
-    def __init__(self, make: Callable[..., _Item], *args: Any) -> None:
+    def __init__(self, make: Callable[..., _Item], *args: Any, begins_later: bool = False) -> None:
         self._args = pickle.dumps(args)
         self._closed = self._died = False
         self._failure = ""
@@ -50,15 +52,14 @@ class Prefetcher(Generic[_Item]):
             line.send((number, None))
         # To start a process takes seconds on a busy machine, and a device has to answer meanwhile.
         ends = [theirs for _, theirs in pipes]
-        threading.Thread(target=self._start, args=(make, args, ends), daemon=True).start()
+        work = make, args, count, begins_later
+        threading.Thread(target=self._start, args=(ends, *work), daemon=True).start()
 
-    def _start(
-        self, make: Callable[..., _Item], args: tuple[Any, ...], ends: list[Connection]
-    ) -> None:
+    def _start(self, ends: list[Connection], *work: Any) -> None:
         for theirs in ends:
             try:
                 if not self._closed and not self._failure:
-                    start_process(_work, theirs, make, args, len(ends))
+                    start_process(_work, theirs, *work)
             except Exception as error:  # what cannot be pickled, no memory
                 self._failure = f": {type(error).__name__}: {error}"
             theirs.close()
@@ -124,16 +125,23 @@ class Prefetcher(Generic[_Item]):
             line.close()
 
 
-def _work(line: Connection, make: Callable[..., Any], args: tuple[Any, ...], count: int) -> None:
+def _work(
+    line: Connection,
+    make: Callable[..., Any],
+    args: tuple[Any, ...],
+    count: int,
+    begins_later: bool,
+) -> None:
     """Compute requested items until the connection is closed. From the first one on that is asked
     for when another is delivered, at low priority: until then a device waits that starts up.
     """
-    is_low = False
+    is_low, waits = False, begins_later
     try:
         while True:
             number, changed = line.recv()
-            args = args if changed is None else changed
-            if number >= count and not is_low:
+            if changed is not None:
+                args, waits = changed, False
+            if number >= count and not (is_low or waits):
                 _lower_priority()
                 is_low = True
             line.send(attempt(make, number, *args))

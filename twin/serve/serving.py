@@ -24,7 +24,7 @@ from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
-from twin.serve.sweeps import RadarSweep, RadarSweeps
+from twin.serve.sweeps import RadarSweep, SweepsOfWorld
 from twin.serve.world import SharedWorld
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
@@ -123,14 +123,16 @@ def serve_radar(
     """
     fault_chances, design = parse_faults(faults, RadioFaults), load_radar(radar)
     world = world if moves(scene) else None
-    first = RadarSweeps(scene, design, seed, fidelity, reuse)
-    sweeps = Prefetcher(first)
+    of_world = SweepsOfWorld(scene, design, seed, fidelity, reuse)
+    sweeps = Prefetcher(of_world, begins_later=world is not None)
 
     def later(begins_s: float) -> Prefetcher[RadarSweep]:
+        scene.after(begins_s)  # what forbids it is told now
+        begun = begins_s, virtual.schedule.sweep_s
+        if sweeps.begin_again(*begun):
+            return sweeps
         sweeps.close()
-        now = scene.after(begins_s)
-        period_s = virtual.schedule.sweep_s
-        return Prefetcher(RadarSweeps(now, design, seed, fidelity, reuse, period_s))
+        return Prefetcher(of_world, *begun)
 
     virtual = VirtualRadio(
         design,

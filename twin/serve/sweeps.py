@@ -105,3 +105,31 @@ class RadarSweeps:
 
     def _stop(self, number: int) -> int:
         return min(number, max(len(self._stops) - 1, 0))
+
+
+class SweepsOfWorld:
+    """Sweeps that begin at any time of a world: ``begins_s`` after the scene's own. All else is as
+    in `RadarSweeps`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        radar: RadarDesign,
+        seed: int,
+        fidelity: Accuracy | None = None,
+        reuse: int = 1,
+    ) -> None:
+        self._scene, self._others = scene, (radar, seed, fidelity, reuse)
+        self._sweeps = RadarSweeps(scene, *self._others)
+        self._begun: tuple[float, float | None] = 0.0, None
+
+    def __call__(
+        self, number: int, begins_s: float = 0.0, period_s: float | None = None
+    ) -> RadarSweep:
+        """Sweep ``number`` of those that begin then. Raises InputError as `RadarSweeps` does."""
+        if (begins_s, period_s) != self._begun:
+            scene = self._scene.after(begins_s)
+            self._sweeps = RadarSweeps(scene, *self._others, period_s)
+            self._begun = begins_s, period_s
+        return self._sweeps(number)
