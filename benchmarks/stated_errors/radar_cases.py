@@ -150,7 +150,7 @@ def close_plates(rng: np.random.Generator, wavelength_m: float) -> _Things:
         half = wavelength_m * rng.uniform(1.5, 6)
         at = center + rng.uniform(-8, 8, 3) * wavelength_m
         found.append(_metal(f"plate {i}", square(at, _facing(rng, 1.5), half)))
-    return _Things(found, 4)
+    return _Things(found, 5)
 
 
 def block(rng: np.random.Generator, wavelength_m: float) -> _Things:
@@ -198,7 +198,7 @@ def over_ground(rng: np.random.Generator, wavelength_m: float) -> _Things:
     low = min(float(o.vertices_m[:, 2].min()) for o in made.objects)
     height = max(-low, 0.0) + rng.uniform(0.1, 1.0)
     floor = square(np.array([0, 0, -height]), np.array([0, 0, 1.0]), _WIDE_M)
-    return _Things(made.objects[:2], 3, thing("ground", floor, 0.5, material="metal"))
+    return _Things(made.objects[:2], 5, thing("ground", floor, 0.5, material="metal"))
 
 
 def small_ball(rng: np.random.Generator, wavelength_m: float) -> Scene:
