@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 #: By receiver, step and delay, (n_receivers, n_steps, n_delays).
 ByDelay = NDArray[np.complex128]
 
-_CERTAIN = 5.0  # standard errors above which an image or an offset is significant
+_CERTAIN = 5.0  # standard errors above which an image or an offset is significant; of many delays
 _SUSPECTED = 2.5  # and above which it is worth more than a first look
 _FEWEST = 8  # subcarriers, with which anything is told
 _DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
@@ -140,13 +140,18 @@ def branch_faults(
 def _significant(
     direct: ByDelay, image: ByDelay, weight: Array, certain: float
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """`_regression`, with 0 for what is below ``certain`` standard errors."""
+    """`_regression`, with 0 for what is below ``certain`` standard errors.
+
+    Of few delays the noise is not well known, and weights favour delays that agree by chance: more
+    standard errors are as certain then.
+    """
     everywhere = np.ones(direct.shape[:2], dtype=bool)
     window = normalised_window("blackmanharris", direct.shape[-1])
     power = np.mean(window**2)
     # The window makes neighbouring delays alike, a signal and its conjugate two subcarriers.
     alike = 2 * np.mean(window**4) / power**2
     n, used = weight.sum(), weight.sum() ** 2 / np.sum(weight**2) / len(weight)
+    independent = used * len(weight) / alike
     of_mean = (window.max() ** 2 / power + 1 / used - 1) / len(weight)
 
     offsets, ratios = _regression(direct, image, weight, everywhere, everywhere[:, 0])
@@ -154,10 +159,20 @@ def _significant(
     noise = np.quantile(left, _QUIET, axis=-1) / -np.log1p(-_QUIET)
     centred = np.abs(image - (image @ weight / n)[..., None]) ** 2
     error = np.sum(centred @ weight**2 * noise, axis=1) * alike
-    has_image = np.abs(ratios) ** 2 * np.sum(centred @ weight, axis=1) ** 2 > certain**2 * error
+    least = _certain(certain, independent * direct.shape[1])
+    has_image = np.abs(ratios) ** 2 * np.sum(centred @ weight, axis=1) ** 2 > least * error
     offsets, _ = _regression(direct, image, weight, everywhere, has_image)
-    has_offset = np.abs(offsets) ** 2 > certain**2 * of_mean * noise
+    has_offset = np.abs(offsets) ** 2 > _certain(certain, independent / 2) * of_mean * noise
     return _regression(direct, image, weight, has_offset, has_image)
+
+
+def _certain(errors: float, independent: float) -> float:
+    """Square of the standard errors that are as unlikely in noise of so many independent values as
+    ``errors`` are where the noise is known: of the F distribution, with two degrees of freedom over
+    twice ``independent``. Simulated noise of 8 to 256 subcarriers keeps it to 1 in 1000; of offsets
+    with half as many.
+    """
+    return independent * float(np.expm1(min(errors**2 / independent, 600.0)))
 
 
 def _weights(direct: ByDelay, image: ByDelay, rounds: int) -> Array:
