@@ -64,7 +64,7 @@ def test_a_near_strong_echo_is_within_its_range_error(range_m: float, amplitude:
     assert np.sqrt(np.mean(np.square(off))) < 1.5
 
 
-@pytest.mark.parametrize("range_m", [0.76, 0.85, 0.95, 1.1, 1.27, 1.6])
+@pytest.mark.parametrize("range_m", [0.76, 0.85, 0.95, 1.03, 1.1, 1.27, 1.6])
 def test_an_echo_beside_the_reference_is_within_its_errors(range_m: float) -> None:
     """Half a cell to 3 cells from it, whose fit takes a part of the echo: ranges were off by 4 to
     16 of the errors stated. What is nearer than a cell is warned of.
@@ -80,7 +80,7 @@ def test_an_echo_beside_the_reference_is_within_its_errors(range_m: float) -> No
         error_m, error_w = found.range_error_m, found.power_error_w
         assert ("within a cell" in " ".join(frame.warnings)) == (range_m < 0.9)
         off.append([(found.range_m - range_m) / error_m, (found.power_w - power_w) / error_w])
-    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.96).all()
+    assert np.abs(off).max() < 1.96
 
 
 def test_late_samples_of_a_retune_are_found() -> None:
