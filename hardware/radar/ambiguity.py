@@ -138,10 +138,15 @@ def resolve_delay_rates(
 
 def _possible_rates(echo: EchoMeasurement, waveform: OfdmWaveform, fastest: float) -> Array:
     """`ambiguous_rates` of an echo: one as fast as ``fastest`` may be measured beyond it, by its
-    error.
+    error; and where another one is measured, by what Doppler shifts of that difference spread over
+    the band, as the echo's peak may be at either of its ends.
     """
     beyond = float(np.fmin(_ERRORS * echo.delay_rate_error, waveform.delay_rate_cell))
-    return ambiguous_rates(waveform, echo.delay_rate, fastest + beyond)
+    spread = waveform.bandwidth_hz / waveform.carrier_hz / 2
+    reach = fastest + beyond + spread * (fastest + abs(echo.delay_rate)) / (1 - spread)
+    rates = ambiguous_rates(waveform, echo.delay_rate, reach)
+    off = spread * np.abs(rates - echo.delay_rate)
+    return rates[(np.abs(rates) <= fastest + beyond + off) | (np.arange(len(rates)) == 0)]
 
 
 def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
