@@ -1,17 +1,25 @@
-"""What the ranges and rates of a burst's detections may be other than they say, in words."""
+"""What the detections of a burst may be other than they say, in words."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
 from hardware.radar.detection import Detection
+from hardware.radar.integrity import weakest_branch
 from hardware.radar.k_distribution import ClutterFit
 from hardware.radar.range_doppler import RangeDopplerMap
 from hardware.radar.rate_evidence import fastest_resolved
 from hardware.radar.settings import Processing
 from hardware.waveform import C_M_PER_S, OfdmWaveform
+
+if TYPE_CHECKING:
+    from hardware.records.radar import RadarRecord
+
+_LEAST_NOISE = 0.5  # counts rms of a branch, rounding included: 0.29 of it
+_FEW_COUNTS = 4.0  # rms of a branch: echoes of 5 counts are within 0.1 dB
 
 
 def untested_rates(waveform: OfdmWaveform, how: Processing) -> list[str]:
@@ -132,6 +140,22 @@ def scattered_phases(burst: int, variance: float, n_left_out: int) -> list[str]:
         f"burst {burst}: phases differ from slot to slot by {variance**0.5:.2g} rad: {n_left_out} "
         "peaks at the delays of stronger echoes, whose spread over the rates they may be, are "
         "left out"
+    ]
+
+
+def left_to_rounding(
+    record: "RadarRecord", burst: int, interval: DemodulatedBurst, noise_w: float
+) -> list[str]:
+    """A warning of samples of a few counts with hardly any noise, whose rounding follows the
+    echoes. ``noise_w``: of a cell without a window.
+    """
+    n_samples = interval.channel.shape[-2] * interval.channel.shape[-1]
+    noise = np.sqrt(noise_w * n_samples / 2) / record.front_end.root_watt_per_count
+    if not (noise < _LEAST_NOISE and weakest_branch(record, burst) < _FEW_COUNTS):
+        return []
+    return [
+        f"burst {burst}: noise of {noise:.2g} counts in samples of a few: levels are left to "
+        "rounding, which no stated error holds"
     ]
 
 

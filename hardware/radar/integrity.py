@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
 _RAIL = 32767
-_QUIET = 0.65  # share of one value, of noise of 0.53 counts
 _SOME = 2**16  # samples of a branch that are looked at
 _CLOCK = 0.01  # of a slot, by which its start may be off
 #: What leaves a slot without the samples of its time, and its name in messages.
@@ -82,23 +81,16 @@ def _levels(record: "RadarRecord", burst: int) -> list[str]:
         warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
     if told := saturation(record, burst):
         warnings.append(told)
-    alike = _most_alike(iq)
-    if alike > _QUIET:
-        warnings.append(
-            f"burst {burst}: {100 * alike:.0f} % of a branch's samples hold one value: their noise "
-            "is less than half a count, and levels are left to rounding, which no error holds"
-        )
     return warnings
 
 
-def _most_alike(iq: NDArray[np.int16]) -> float:
-    """Largest share of samples (n_steps, n_slots, n_receivers, n_samples, 2) of a receiver's branch
-    that hold one value, of at most some of them.
+def weakest_branch(record: "RadarRecord", burst: int) -> float:
+    """Scatter of the samples of the branch of a receiver that has least, counts rms; of at most
+    some of them.
     """
+    iq = record.iq[burst]
     branches = np.moveaxis(iq, (2, 4), (0, 1)).reshape(iq.shape[2] * 2, -1)
-    some = branches[:, :: max(1, branches.shape[1] // _SOME)].astype(np.int32)
-    some -= some.min(axis=1, keepdims=True)
-    return max(int(np.bincount(branch).max()) for branch in some) / some.shape[1]
+    return float(branches[:, :: max(1, branches.shape[1] // _SOME)].std(axis=1).min())
 
 
 def saturation(record: "RadarRecord", burst: int) -> str:

@@ -21,6 +21,7 @@ from hardware.radar.detection_warnings import (
     ambiguous,
     beside_the_reference,
     coupled_ranges,
+    left_to_rounding,
     mixed_directions,
     moving_side_lobes,
     of_the_map,
@@ -141,8 +142,9 @@ def process(
     even = image.power_w
     if image.relative_noise is not None:
         even = even / image.relative_noise
+    gain = noise_gain(how.window, channel.shape[-2:])
     # Number of correlated cells that exceed a level together: 7 for blackmanharris, 1 without one.
-    clutter = fit(even, image.n_channels, noise_gain(how.window, channel.shape[-2:]) ** 1.4)
+    clutter = fit(even, image.n_channels, gain**1.4)
     own = None if how.detection is None else detection_of(how.detection)
     points: Sequence[Detection]
     if own is None:
@@ -167,7 +169,11 @@ def process(
         image=image,
         waveform=interval.waveform,
         whole=interval.whole,
-        warnings=(*interval.warnings, *warnings),
+        warnings=(
+            *interval.warnings,
+            *left_to_rounding(record, burst, interval, image.noise_w / gain),
+            *warnings,
+        ),
         clutter=clutter,
         detection=own.name if own else "",
     )

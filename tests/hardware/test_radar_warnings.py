@@ -70,10 +70,26 @@ def test_ranges_are_those_from_the_middle_of_the_phase_centres(off_m: float) -> 
     assert found.range_m == pytest.approx(np.linalg.norm(place - middle), abs=5e-3)
 
 
-@pytest.mark.parametrize(("counts", "is_told"), [(0.2, True), (0.4, True), (0.7, False)])
-def test_noise_of_less_than_half_a_count_is_told(counts: float, is_told: bool) -> None:
-    """Of 0.2 counts an echo of 30 dB is 10 dB too weak by rounding, of 0.35 counts 0.6 dB."""
-    record = cube(WIDE, [])
-    noise = np.random.default_rng(0).normal(0, counts, record.iq.shape)
-    frame = process(replace(record, iq=np.rint(noise).astype(np.int16)))
-    assert any("less than half a count" in told for told in frame.warnings) == is_told
+@pytest.mark.parametrize(
+    ("noise", "echo", "is_told"),
+    [
+        (0.2, 0.0, True),
+        (0.35, 0.0, True),
+        (0.6, 0.0, False),
+        (0.05, 0.7, True),
+        (0.1, 3.5, True),
+        (0.6, 3.5, False),
+        (0.1, 20.0, False),
+    ],
+)
+def test_levels_that_are_left_to_rounding_are_told(
+    noise: float, echo: float, is_told: bool
+) -> None:
+    """Of 0.2 counts of noise an echo of 30 dB is 10 dB too weak by rounding; one of 0.7 counts in
+    noise of 0.02 to 0.2 0.6 to 1.7 dB too strong, one of 3.5 up to 0.4 dB off.
+    """
+    record = cube(WIDE, [Echo((5.0, 0, 0))], counts=8000)
+    rng = np.random.default_rng(0)
+    iq = echo / 8000 * record.iq + rng.normal(0, noise, record.iq.shape)
+    frame = process(replace(record, iq=np.rint(iq).astype(np.int16)))
+    assert any("left to rounding" in told for told in frame.warnings) == is_told
