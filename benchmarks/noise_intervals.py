@@ -14,9 +14,10 @@ from benchmarks.timing import Figure
 from hardware.reconstruction import reconstruct
 from twin.accuracy import Interval
 from twin.camera.acquisition import measure
-from twin.camera.intervals import psnr_interval, snr_interval, ssim_interval
+from twin.camera.intervals import psnr_interval, ssim_interval
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
+from twin.camera.snr_intervals import snr_interval
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import channel as received

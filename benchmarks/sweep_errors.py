@@ -17,9 +17,10 @@ from benchmarks.timing import Figure
 from hardware.reconstruction import reconstruct
 from twin.accuracy import Interval
 from twin.camera.acquisition import Capture, measure
-from twin.camera.intervals import psnr_interval, snr_interval, ssim_interval
+from twin.camera.intervals import psnr_interval, ssim_interval
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
+from twin.camera.snr_intervals import snr_interval
 from twin.fidelity import Fidelity
 from twin.sweep import Study, load_study
 from twin.sweep.evaluate import outcome_of

@@ -18,9 +18,10 @@ from hardware.reconstruction import METHODS, Reconstruction, reconstruct
 from twin.accuracy import Interval
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.camera.acquisition import Capture, measure
-from twin.camera.intervals import background_interval, psnr_interval, snr_interval, ssim_interval
+from twin.camera.intervals import background_interval, psnr_interval, ssim_interval
 from twin.camera.rendered import RenderedLight
 from twin.camera.score import psnr_db, similarity
+from twin.camera.snr_intervals import snr_interval
 from twin.trade.camera import CameraCase
 
 Array = NDArray[np.float64]

@@ -151,7 +151,7 @@ def left_to_rounding(
     """
     n_samples = interval.channel.shape[-2] * interval.channel.shape[-1]
     noise = np.sqrt(noise_w * n_samples / 2) / record.front_end.root_watt_per_count
-    if not (noise < _LEAST_NOISE and weakest_branch(record, burst) < _FEW_COUNTS):
+    if not (0 < noise < _LEAST_NOISE and weakest_branch(record, burst) < _FEW_COUNTS):
         return []
     return [
         f"burst {burst}: noise of {noise:.2g} counts in samples of a few: levels are left to "

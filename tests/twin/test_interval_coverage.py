@@ -18,8 +18,9 @@ from tests.physics.radar_worlds import RADAR, ball, plate, trihedral, world
 from tests.still import still_yard
 from twin.accuracy import Interval
 from twin.camera.acquisition import Capture, measure
-from twin.camera.intervals import ScoreIntervals, capture_intervals, score_intervals, snr_errors
+from twin.camera.intervals import ScoreIntervals, capture_intervals, score_intervals
 from twin.camera.light import render
+from twin.camera.snr_intervals import snr_errors
 from twin.detector.noise import settled_share
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture

@@ -1,19 +1,17 @@
 """Intervals of a capture's figures and of its images' scores: what the model's light may be off by,
 and how far another draw of the sensor's noise would move them.
 
-The errors of cells are independent. A quantile of an image's cells is drawn anew with them, from a
-seed of its own, so that the same capture has the same intervals; all else is linear in them. By the
-model scores are off from those of an exact model and the same noise of the sensor, whose image
-would follow what changes in the truth, in part. By noise they scatter as those of other records of
-the same light do (`twin.camera.noise_draws`). SNRs and electrons are predicted, not read from the
-record: noise moves none of them, but for the light of an emitter that fluctuates.
+The errors of cells are independent, and figures linear in them, but for the SNRs'
+(`twin.camera.snr_intervals`) and the peak. By the model scores are off from those of an exact model
+and the same noise of the sensor, whose image would follow what changes in the truth, in part. By
+noise they scatter as those of other records of the same light do (`twin.camera.noise_draws`).
+Electrons are predicted, not read from the record: noise moves none of them, but for the light of an
+emitter that fluctuates.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +22,15 @@ from twin.camera.acquisition import Capture
 from twin.camera.follows import Follows
 from twin.camera.noise_scatter import scatter_of_scores
 from twin.camera.score import in_words, psnr_db, similarities, similarity
-from twin.camera.verdict import LIT
+from twin.camera.snr_intervals import FEW, SEED, normal_draws, snr_interval
 
 Array = NDArray[np.float64]
 
-_SEED = 17
-#: Draws of the cells' errors, and of whole images', with the factor by which their scatter is to
-#: be larger so that 1.96 of it hold 95 % of cases (Student's distribution).
-_DRAWS, _FEW = 16, 1.087
+#: Draws of whole images, with the factor by which their scatter is to be larger so that 1.96 of it
+#: hold 95 % of cases (Student's distribution).
 _DRAWS_OF_IMAGES, _VERY_FEW = 8, 1.207
 #: Relative step for the slope of SSIM over the image's error.
 _STEP = 1e-3
-#: Errors by which a cell may be beside the median whose errors move it; neighbouring cells from
-#: which on quantiles of their differences are known; these quantiles, and of the square of a normal
-#: variable (chi-squared of one degree of freedom).
-_ABOUT, _LEAST_PAIRS = 2.0, 100
-_QUANTILES, _OF_NORMAL = (0.5, 0.75, 0.9), np.array([0.4549, 1.3233, 2.7055])
-_ACROSS = (slice(None), slice(1, None)), (slice(None), slice(-1))
 #: Factor by which a draw is that of two errors.
 _TWICE = math.sqrt(2)
 #: Of the peak, the largest excess that is taken from it.
@@ -95,71 +85,6 @@ def capture_intervals(capture: Capture) -> CaptureIntervals:
     )
 
 
-def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"]) -> Interval:
-    """A quantity of the SNRs of the lit cells: their median, the largest, the share above 1. Errors
-    of light are drawn anew, those of the noise are common to all cells.
-
-    Errors that are drawn to SNRs that have errors already shift a median as those have shifted it
-    from the true one, where they are as large as stated. Stated errors of single cells are bounds
-    on the safe side; the median's are taken no larger than neighbouring cells let them be. Cells
-    with a surface in which no light was found, and may be some, count among the lit ones or not.
-    """
-    lit = capture.lit
-    if capture.void or not lit.any():
-        return Interval(0.0 if quantity == "above 1" else np.nan)
-    value, error, scene_e = _OF_SNR[quantity], capture.model_error, capture.scene_e
-    snr = capture.snr[lit]
-    relative, bound = (
-        np.broadcast_to(_over(part, scene_e), scene_e.shape)
-        for part in (capture.cells_error_e, capture.light_systematic_e)
-    )
-    own, bound = relative[lit], bound[lit]
-    if quantity == "median":
-        own = own * _share_seen(capture.snr, capture.snr * relative, lit)
-    common, common_bound = (float(np.max(part)) for part in (error.noise, error.noise_systematic))
-    each, together = _normal_draws(snr.size)
-    drawn = value(snr * np.maximum(1 + own * each, 0) * (1 + common * together))
-    here = float(value(snr))
-    systematic = abs(float(drawn.mean()) - here)
-    if np.isfinite(bound).all():
-        ends = np.stack([snr * (1 + bound + common_bound), snr * max(1 - common_bound, 0)])
-        systematic += float(np.abs(value(ends) - here).max())
-    else:
-        systematic = np.inf
-    if n_more := _perhaps_lit(capture, lit):
-        systematic += abs(float(value(np.append(snr, np.zeros(n_more)))) - here)
-    return Interval(here, _FEW * float(drawn.std(ddof=1)), systematic)
-
-
-def _perhaps_lit(capture: Capture, lit: NDArray[np.bool_]) -> int:
-    """Number of cells with a surface that exact light might light: in them light was left out, or
-    no path has found any.
-    """
-    most = capture.cells_error_e + capture.light_systematic_e
-    might = most > LIT * capture.scene_e.max(initial=0.0)
-    return int(np.count_nonzero(~lit & might & (capture.truth.albedo > 0)))
-
-
-def _share_seen(snr: Array, error: Array, lit: NDArray[np.bool_]) -> float:
-    """Share, at most 1, of the stated errors of cells that the errors have at most, as far as cells
-    about the median tell; all (rows, columns).
-
-    With independent errors neighbouring cells differ by at least what these make them differ by:
-    whatever the true difference is, it makes each quantile of the difference's size larger
-    (Anderson's inequality). Of several quantiles the one counts that permits most.
-    """
-    about = lit & (np.abs(snr - np.median(snr[lit])) <= _ABOUT * error)
-    squares = []
-    for one, other in (((slice(1, None),), (slice(-1),)), (_ACROSS[0], _ACROSS[1])):
-        both = (about[one] | about[other]) & lit[one] & lit[other]
-        variance = error[one][both] ** 2 + error[other][both] ** 2
-        squares.append((snr[one][both] - snr[other][both]) ** 2 / variance)
-    found = np.concatenate(squares)
-    if found.size < _LEAST_PAIRS:
-        return 1.0
-    return float(min(np.sqrt(np.max(np.quantile(found, _QUANTILES) / _OF_NORMAL)), 1.0))
-
-
 def signal_interval(capture: Capture) -> Interval:
     """Signal of one average exposure, electrons."""
     error, exposures_w = capture.model_error, capture.signal_w.sum(axis=1)
@@ -200,14 +125,6 @@ def noise_interval(capture: Capture) -> Interval:
         float(np.max(error.noise)),
         float(np.max(error.noise_systematic)),
     )
-
-
-def snr_errors(capture: Capture) -> tuple[Array, Array]:
-    """Standard error and systematic bound of the SNR of each cell, (rows, columns)."""
-    error, scene_e = capture.model_error, capture.scene_e
-    own = _over(capture.cells_error_e, scene_e)
-    bound = _over(capture.light_systematic_e, scene_e) + error.noise_systematic
-    return capture.snr * np.hypot(own, error.noise), capture.snr * bound
 
 
 def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
@@ -309,12 +226,12 @@ def _peak(capture: Capture) -> _Peak:
     truth = capture.measured_scene_e
     known = np.isfinite(truth)
     value = float(truth[known].max())
-    draws, _ = _normal_draws(int(known.sum()))
+    draws, _ = normal_draws(int(known.sum()))
     drawn = (truth[known] + capture.cells_error_e[known] * draws).max(axis=1) / value
     bound = capture.light_systematic_e + 0 * truth
     return _Peak(
         value,
-        _FEW * float(drawn.std(ddof=1)),
+        FEW * float(drawn.std(ddof=1)),
         max(float(drawn.mean()) - 1, 0.0),
         float(bound[np.unravel_index(np.nanargmax(truth), truth.shape)]) / value,
     )
@@ -352,26 +269,11 @@ def _unfollowed(capture: Capture, image: Reconstruction) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=8)
-def _normal_draws(n_cells: int) -> tuple[Array, Array]:
-    """Normal draws (_DRAWS, n_cells), and those that all cells share, (_DRAWS, 1)."""
-    rng = np.random.default_rng(_SEED)
-    return rng.standard_normal((_DRAWS, n_cells)), rng.standard_normal((_DRAWS, 1))
-
-
-@lru_cache(maxsize=8)
 def _image_draws(shape: tuple[int, ...]) -> tuple[Array, tuple[Array, ...]]:
     """A normal draw of each cell, (rows, columns), and signs of its blocks for each image."""
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(SEED)
     draw = rng.normal(size=shape)
     return draw, tuple(_signs_of_blocks(shape, rng) for _ in range(_DRAWS_OF_IMAGES))
-
-
-#: Quantities of the SNRs along the last axis.
-_OF_SNR: dict[str, Callable[[Array], Array]] = {
-    "median": lambda snr: np.asarray(np.median(snr, axis=-1)),
-    "best": lambda snr: np.asarray(snr.max(axis=-1)),
-    "above 1": lambda snr: np.asarray(np.mean(snr >= 1, axis=-1)),
-}
 
 
 def _relative(
@@ -379,10 +281,6 @@ def _relative(
 ) -> Interval:
     bound = value * systematic if value else 0.0
     return Interval(value, value * statistical, bound, value * by_noise)
-
-
-def _over(part: Array, whole: Array) -> Array:
-    return np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0)
 
 
 def _in_db(relative: float) -> float:

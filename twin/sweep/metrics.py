@@ -16,10 +16,10 @@ from twin.camera.intervals import (
     noise_interval,
     psnr_interval,
     signal_interval,
-    snr_interval,
     ssim_interval,
 )
 from twin.camera.score import Score, score_of
+from twin.camera.snr_intervals import snr_interval
 from twin.detector.flicker import FLICKER
 from twin.errors import InputError
 from twin.radar.detection_count import targets_detected
