@@ -30,8 +30,8 @@ _DRAWS, FEW = 16, 1.087
 _ABOUT, _LEAST_PAIRS = 2.0, 100
 _QUANTILES, _OF_NORMAL = (0.5, 0.75, 0.9), np.array([0.4549, 1.3233, 2.7055])
 _ACROSS = (slice(None), slice(1, None)), (slice(None), slice(-1))
-#: Cells to a side, of which the mean is taken, and how many of them at least; standard deviations between mean and median of errors
-#: with one peak, at most (Johnson and Rogers, 1951).
+#: Cells to a side, of which the mean is taken, and how many of them at least; standard deviations
+#: between mean and median of errors with one peak, at most (Johnson and Rogers, 1951).
 _AROUND, _LEAST_AROUND, _MOST_SKEWED = 5, 12, 0.6**0.5
 #: Of normal errors about one value those within half a standard deviation exceed a quarter of those
 #: within two by this share.
