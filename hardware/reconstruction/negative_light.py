@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from hardware.patterns import OwnPatterns, Patterns, PatternSet
 from hardware.reconstruction.measurements import Measurements
-from hardware.reconstruction.noise import errors_of_few, freedom
+from hardware.reconstruction.noise import errors_of_few, finest_patterns, freedom
 from hardware.records import SpiRecord
 
 #: Variance that the constant of sets without complements adds to that of a value, at most: two
@@ -73,6 +73,9 @@ def beyond_all_light(record: SpiRecord, measured: Measurements) -> Iterator[str]
     light = measured.values[patterns.indices == 0].mean(axis=0)
     excess = np.abs(measured.values) - np.maximum(light, 0)
     error = np.sqrt((1 + _WITH_CONSTANT) * measured.most_noise_variance)
+    finest = finest_patterns(patterns)
+    if patterns.mode != "reference" and finest.size:  # their mean is the constant, detail and all
+        error = np.hypot(error, measured.values[finest].std(axis=0) / np.sqrt(finest.size))
     beyond = (excess > errors_of_few(freedom(patterns)) * error) & (patterns.indices > 0)[:, None]
     if not beyond.any():
         return
