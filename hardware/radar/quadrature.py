@@ -30,7 +30,10 @@ _CERTAIN = 5.0  # standard errors above which an image or an offset is significa
 _SUSPECTED = 2.5  # and above which it is worth more than a first look
 _FEWEST = 8  # subcarriers, with which anything is told
 _DEPENDENT = 0.9  # amplitude of an image, from which on the branches tell no two things
-_HALF = 0.5  # of `_alike`, from which on samples of the branches are dependent
+_HALF = 0.5  # of `_alike`, from which on samples of such branches are dependent, and of others:
+_NEARLY = 0.95  # honest echoes at rest reach 0.91 on 9 to 12 subcarriers, of symbols
+_UNLIKE = 0.45  # whose echo has an image below this amplitude at any delay; 8 subcarriers have 0.5
+_SOME = 2**16  # samples of a branch that are looked at
 _ROUNDED = 1.0  # counts rms, below which the converters' rounding makes branches alike
 _DRIFT = 2  # degree in time up to which an offset changes within a burst
 _SPREAD = 4.0  # delays over which an image spreads, at least
@@ -52,8 +55,8 @@ def without_faults(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Com
     direct, image = by_delay(steps, waveform)
     spread = image_spreads(waveform)
     offsets, ratios = branch_faults(direct, image, spread)
+    _check_independent(np.abs(ratios), steps, waveform)
     if (is_alike := np.abs(ratios) > _DEPENDENT).any():
-        _check_independent(ratios, steps)
         offsets, ratios = branch_faults(direct, image * ~is_alike[:, None, None], spread)
     if ratios.any():
         b = ratios.astype(steps[0].dtype)[:, None]
@@ -76,28 +79,33 @@ def _check_changing(steps: Sequence[Complex]) -> None:
             )
 
 
-def _check_independent(ratios: NDArray[np.complex128], steps: Sequence[Complex]) -> None:
-    """Branches that change by less than a count may be alike by rounding; others may not, where the
-    samples themselves are: quiet delays of few subcarriers look alike by chance, 1 in 300.
+def _check_independent(size: Array, steps: Sequence[Complex], waveform: OfdmWaveform) -> None:
+    """Raise InputError where I and Q are one signal, as their samples tell: nearly, or by half
+    where an image of that ``size`` tells it as well.
+
+    Quiet delays of few subcarriers look alike by chance, 1 in 300; honest echoes where the image of
+    one is as strong as itself; branches that change by less than a count by rounding.
     """
-    for receiver in np.flatnonzero(np.abs(ratios) > _DEPENDENT).tolist():
-        if any(
-            step[:, receiver].std() > _ROUNDED and _alike(step[:, receiver]) > _HALF
-            for step in steps
-        ):
+    unlike = np.abs(_image_of_echo(waveform)).max() < _UNLIKE
+    for receiver, image in enumerate(size.tolist()):
+        least = _HALF if image > _DEPENDENT else _NEARLY if unlike else np.inf
+        alike = max(_alike(step[:, receiver]) for step in steps)
+        if alike > least:
             raise InputError(
-                f"receiver {receiver}: the image is {np.abs(ratios[receiver]):.3g} times the "
-                "signal, expected far less: I and Q depend on each other, as where a branch is dead"
+                f"receiver {receiver}: I and Q depend on each other, as where a branch is dead: "
+                f"{100 * alike:.0f} % of their power is one signal's, expected far less"
             )
 
 
 def _alike(samples: Complex) -> float:
-    """How far two branches are one signal: 1 where one is the other's multiple, or dead; near 0 of
-    echoes and noise.
+    """How far two branches (n_slots, n_samples) are one signal: 1 where one is the other's
+    multiple, or dead; near 0 of echoes and noise, and of less than a count. Offsets of slots do not
+    count.
     """
-    changing = samples - samples.mean()
-    square = np.mean(changing * changing)
-    return float(np.abs(square) / np.mean(np.abs(changing) ** 2))
+    some = samples[:: max(1, samples.size // _SOME)]
+    changing = some - some.mean(axis=1, keepdims=True)
+    power = np.mean(np.abs(changing) ** 2)
+    return float(np.abs(np.mean(changing * changing)) / power) if power > _ROUNDED**2 else 0.0
 
 
 def _without_drift(steps: Sequence[Complex], waveform: OfdmWaveform) -> list[Complex]:
@@ -169,8 +177,8 @@ def _significant(
 def _certain(errors: float, independent: float) -> float:
     """Square of the standard errors that are as unlikely in noise of so many independent values as
     ``errors`` are where the noise is known: of the F distribution, with two degrees of freedom over
-    twice ``independent``. Simulated noise of 8 to 256 subcarriers keeps it to 1 in 1000; of offsets
-    with half as many.
+    twice ``independent``. In simulated noise of 8 to 256 subcarriers 1 image in 1000 is as large as
+    that says of 1 in 1000, and so are offsets with half as many.
     """
     return independent * float(np.expm1(min(errors**2 / independent, 600.0)))
 
@@ -212,9 +220,14 @@ def image_spreads(waveform: OfdmWaveform) -> bool:
     """Whether the image of an echo spreads over many delays; of flat symbols, and of all that are
     real and symmetric, it is where the echo is.
     """
-    sent = np.fft.ifftshift(waveform.sent().conj())
-    power = np.abs(np.fft.ifft(sent * np.roll(sent[::-1], 1))) ** 2
+    power = np.abs(_image_of_echo(waveform)) ** 2
     return bool(_SPREAD * np.sum(power**2) < np.sum(power) ** 2)
+
+
+def _image_of_echo(waveform: OfdmWaveform) -> NDArray[np.complex128]:
+    """Image of an echo over the echo, by delay from where it would be of flat symbols."""
+    sent = np.fft.ifftshift(waveform.sent().conj())
+    return np.asarray(np.fft.ifft(sent * np.roll(sent[::-1], 1)))
 
 
 def by_delay(steps: Sequence[Complex], waveform: OfdmWaveform) -> tuple[ByDelay, ByDelay]:

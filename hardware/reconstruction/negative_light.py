@@ -27,6 +27,8 @@ from hardware.records import SpiRecord
 #: Variance that the constant of sets without complements adds to that of a value, at most: two
 #: references half of it, the mean of two or more of the finest values half or less.
 _WITH_CONSTANT = 1.5
+#: Share of the values beyond all light, from which on it is their constant that is off.
+_MANY = 1 / 8
 
 
 def negative_light(record: SpiRecord, measured: Measurements) -> Iterator[str]:
@@ -77,6 +79,8 @@ def beyond_all_light(record: SpiRecord, measured: Measurements) -> Iterator[str]
     if patterns.mode != "reference" and finest.size:  # their mean is the constant, detail and all
         error = np.hypot(error, measured.values[finest].std(axis=0) / np.sqrt(finest.size))
     beyond = (excess > errors_of_few(freedom(patterns)) * error) & (patterns.indices > 0)[:, None]
+    # Of one bright cell the finest values may all be alike, and their mean not the constant.
+    beyond &= beyond.mean(axis=0) < _MANY
     if not beyond.any():
         return
     pattern, image = np.unravel_index(np.argmax(np.where(beyond, excess, -np.inf)), excess.shape)

@@ -8,7 +8,7 @@ import pytest
 from hardware.errors import InputError
 from hardware.radar.demodulation import complex_samples
 from hardware.radar.process import process
-from hardware.radar.quadrature import branch_faults, by_delay, image_spreads
+from hardware.radar.quadrature import branch_faults, by_delay, image_spreads, without_faults
 from hardware.waveform import OfdmWaveform
 from tests.hardware.radar_cubes import STEP, WIDE, Echo, cube
 
@@ -134,6 +134,43 @@ def test_noise_of_few_subcarriers_has_neither_image_nor_offset(subcarriers, rece
         offsets, ratios = branch_faults(direct, image, image_spreads(waveform))
         assert not offsets.any()
         assert not ratios.any()
+
+
+@pytest.mark.parametrize("size", [(9, 16), (16, 4), (16, 16), (64, 16)])
+@pytest.mark.parametrize("fault", ["dead", "alike"])
+def test_dependent_branches_of_noise_are_told_on_small_maps(size, fault) -> None:
+    """Q of a fifteenth of the noise, or I and a sixth of it: samples tell it, where the mean over
+    slots does not.
+    """
+    wave = replace(WIDE, n_subcarriers=size[0], n_slots=size[1])
+    for seed in range(8):
+        record = cube(wave, [], noise_w=1e-12, counts=100, seed=seed)
+        own = np.random.default_rng(seed).normal(0, record.iq.std(), record.iq.shape[:-1])
+        iq = record.iq.astype(float)
+        iq[..., 1] = own / 15 if fault == "dead" else iq[..., 0] + own / 6
+        with pytest.raises(InputError, match="I and Q depend on each other"):
+            process(replace(record, iq=np.rint(iq).astype(np.int16)))
+
+
+@pytest.mark.parametrize(
+    ("symbols", "n", "snr_db", "fastest_m_per_s"),
+    [("zadoff-chu", 8, 40, 0.3), ("zadoff-chu", 11, 60, 2.0), ("flat", 16, 60, 2.0)],
+)
+def test_strong_echoes_of_few_subcarriers_are_no_dead_branch(
+    symbols, n: int, snr_db: float, fastest_m_per_s: float
+) -> None:
+    """Two echoes that hardly move look alike in I and Q: 3 of the 200 records of 8 subcarriers had
+    been refused.
+    """
+    wave = replace(WIDE, n_subcarriers=n, n_slots=16, symbols=symbols)
+    rng = np.random.default_rng(1)
+    for seed in range(200):
+        echoes = [
+            Echo((wave.max_range_m * place, 0, 0), 1.0, (fastest_m_per_s * rate, 0, 0))
+            for place, rate in zip(rng.uniform(0.1, 0.9, 2), rng.uniform(-1, 1, 2), strict=True)
+        ]
+        record = cube(wave, echoes, noise_w=10 ** (-snr_db / 10) * n * 16, seed=seed)
+        without_faults(list(complex_samples(record.iq[0])), wave)
 
 
 def test_branches_alike_by_rounding_alone_are_processed() -> None:

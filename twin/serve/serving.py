@@ -24,7 +24,7 @@ from twin.serve.line import Line, TcpPort, Terminal
 from twin.serve.prefetcher import Prefetcher
 from twin.serve.radio import VirtualRadio
 from twin.serve.serial import CameraServer
-from twin.serve.sweeps import RadarSweep, SweepsOfWorld
+from twin.serve.sweeps import RadarSweep, RadarSweeps, SweepsOfWorld
 from twin.serve.world import SharedWorld
 from twin.serve.zeromq import RadioServer
 from twin.system import System, load_system
@@ -123,7 +123,7 @@ def serve_radar(
     """
     fault_chances, design = parse_faults(faults, RadioFaults), load_radar(radar)
     world = world if moves(scene) else None
-    of_world = SweepsOfWorld(scene, design, seed, fidelity, reuse)
+    of_world = SweepsOfWorld(RadarSweeps(scene, design, seed, fidelity, reuse))
     sweeps = Prefetcher(of_world, begins_later=world is not None)
 
     def later(begins_s: float) -> Prefetcher[RadarSweep]:

@@ -66,6 +66,14 @@ class RadarSweeps:
         self._last = stop, echo
         return RadarSweep(echo, echo.record())
 
+    def beginning(self, begins_s: float, period_s: float | None) -> "RadarSweeps":
+        """Those of the world as it is ``begins_s`` after the scene's own time."""
+        return RadarSweeps(
+            *(self._scene.after(begins_s), self._radar, self._seed, self._fidelity),
+            reuse=self._reuse,
+            period_s=period_s,
+        )
+
     def record(self, number: int) -> RadarRecord:
         """The record of one sweep, in the device time of all: sweeps follow without a pause."""
         begun_ns = round(1e9 * number * self._radar.burst_s)
@@ -108,20 +116,10 @@ class RadarSweeps:
 
 
 class SweepsOfWorld:
-    """Sweeps that begin at any time of a world: ``begins_s`` after the scene's own. All else is as
-    in `RadarSweeps`.
-    """
+    """Sweeps that may begin at any time of a world, as those of ``first`` do at the scene's own."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        radar: RadarDesign,
-        seed: int,
-        fidelity: Accuracy | None = None,
-        reuse: int = 1,
-    ) -> None:
-        self._scene, self._others = scene, (radar, seed, fidelity, reuse)
-        self._sweeps = RadarSweeps(scene, *self._others)
+    def __init__(self, first: RadarSweeps) -> None:
+        self._first = self._sweeps = first
         self._begun: tuple[float, float | None] = 0.0, None
 
     def __call__(
@@ -129,7 +127,6 @@ class SweepsOfWorld:
     ) -> RadarSweep:
         """Sweep ``number`` of those that begin then. Raises InputError as `RadarSweeps` does."""
         if (begins_s, period_s) != self._begun:
-            scene = self._scene.after(begins_s)
-            self._sweeps = RadarSweeps(scene, *self._others, period_s)
+            self._sweeps = self._first.beginning(begins_s, period_s)
             self._begun = begins_s, period_s
         return self._sweeps(number)
