@@ -354,6 +354,34 @@ def test_processes_of_a_prefetcher_go_on_with_other_arguments() -> None:
     prefetcher.close()
 
 
+@pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="Linux's priorities")
+def test_processes_yield_the_core_once_the_device_runs() -> None:
+    """One that begins later waits for its first items at full priority, before and after."""
+    count = min(4, os.cpu_count() or 1)
+    for begins_later in (False, True):
+        prefetcher = Prefetcher(priority, begins_later=begins_later)
+        if begins_later:
+            assert [prefetcher(number) for number in range(count)] == count * [os.SCHED_OTHER]
+            assert prefetcher.begin_again(1.0)
+        found = [prefetcher(number) for number in range(2 * count)]
+        assert found == count * [os.SCHED_OTHER] + count * [os.SCHED_IDLE]
+        prefetcher.close()
+
+
+def test_a_prefetcher_that_begins_later_computes_nothing_in_vain() -> None:
+    prefetcher = Prefetcher(with_process, "first", begins_later=True)
+    assert prefetcher(0)[:2] == (0, "first")
+    assert not prefetcher.ready(min(4, os.cpu_count() or 1), 0.3)
+    assert prefetcher.begin_again("again")
+    assert [prefetcher(number)[:2] for number in range(9)] == [(k, "again") for k in range(9)]
+    late = Prefetcher(with_process, "first", begins_later=True)
+    assert [late(number)[:2] for number in range(9)] == [(k, "first") for k in range(9)]
+
+
+def priority(number: int, begins_s: float = 0.0) -> int:
+    return os.sched_getscheduler(0)
+
+
 class SlowToSend:
     """What takes half a second until it is on its way to another process."""
 

@@ -2,8 +2,9 @@
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from twin.scene import Scene, load_scene
 from twin.serve import serving
 from twin.serve.clock import DeviceClock
 from twin.serve.radio import VirtualRadio
-from twin.serve.sweeps import RadarSweeps
+from twin.serve.sweeps import RadarSweep, RadarSweeps, SweepsOfWorld
 from twin.serve.world import SharedWorld
 from twin.system import System, load_system
 
@@ -32,12 +33,11 @@ def scene() -> Scene:
 def radio_in(scene: Scene, world: SharedWorld | None, pace="fast") -> VirtualRadio:
     design = small()
 
-    def later(begins_s: float) -> RadarSweeps:
-        now = scene.after(begins_s)
-        return RadarSweeps(now, design, SEED, QUICK, 1, virtual.schedule.sweep_s)
+    def later(begins_s: float) -> Callable[[int], RadarSweep]:
+        return partial(sweeps, begins_s=begins_s, period_s=virtual.schedule.sweep_s)
 
-    first = RadarSweeps(scene, design, SEED, QUICK)
-    virtual = VirtualRadio(design, first, clock=DeviceClock(pace), world=world, later=later)
+    sweeps = SweepsOfWorld(RadarSweeps(scene, design, SEED, QUICK))
+    virtual = VirtualRadio(design, sweeps, clock=DeviceClock(pace), world=world, later=later)
     return virtual
 
 

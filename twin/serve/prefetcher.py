@@ -36,30 +36,32 @@ class Prefetcher(Generic[_Item]):
     args
         See `begin_again`.
     begins_later
-        The device does not run before `begin_again`, and waits again then.
+        Until `begin_again` nothing is computed in advance but the first item of each process.
     """
 
     def __init__(self, make: Callable[..., _Item], *args: Any, begins_later: bool = False) -> None:
-        self._args = pickle.dumps(args)
+        self._args, self._waits = pickle.dumps(args), begins_later
         self._closed = self._died = False
         self._failure = ""
         count = min(_MOST_PROCESSES, os.cpu_count() or 1)
         pipes = [SPAWN.Pipe() for _ in range(count)]
         self._lines: list[Connection] = [ours for ours, _ in pipes]
-        self._asked = list(range(count))  # what each line computes, or has computed
+        #: What each line computes, or has computed; None where nothing is asked.
+        self._asked: list[int | None] = list(range(count))
         self._given_up = [0] * count  # items before it that nobody waits for any more
         for number, line in enumerate(self._lines):
             line.send((number, None))
         # To start a process takes seconds on a busy machine, and a device has to answer meanwhile.
         ends = [theirs for _, theirs in pipes]
-        work = make, args, count, begins_later
-        threading.Thread(target=self._start, args=(ends, *work), daemon=True).start()
+        threading.Thread(target=self._start, args=(make, args, ends), daemon=True).start()
 
-    def _start(self, ends: list[Connection], *work: Any) -> None:
+    def _start(
+        self, make: Callable[..., _Item], args: tuple[Any, ...], ends: list[Connection]
+    ) -> None:
         for theirs in ends:
             try:
                 if not self._closed and not self._failure:
-                    start_process(_work, theirs, *work)
+                    start_process(_work, theirs, make, args, len(ends))
             except Exception as error:  # what cannot be pickled, no memory
                 self._failure = f": {type(error).__name__}: {error}"
             theirs.close()
@@ -72,12 +74,16 @@ class Prefetcher(Generic[_Item]):
         place = number % len(self._lines)
         line = self._lines[place]
         try:
+            if self._asked[place] is None:
+                line.send((number, None))
             for _ in range(self._given_up[place]):
                 line.recv()
             self._given_up[place] = 0
             item, error = line.recv()
-            self._asked[place] = number if error else number + len(self._lines)
-            line.send((self._asked[place], None))
+            following = number if error else number + len(self._lines)
+            self._asked[place] = None if self._waits else following
+            if not self._waits:
+                line.send((following, None))
         except (EOFError, OSError):
             self._died = True
             raise EngineError(f"the process that computes it has died{self._failure}") from None
@@ -113,9 +119,9 @@ class Prefetcher(Generic[_Item]):
                 line.send((place, changed))
             except OSError:
                 return False
+            self._given_up[place] += self._asked[place] is not None
             self._asked[place] = place
-            self._given_up[place] += 1
-        self._args = asked
+        self._args, self._waits = asked, False
         return not self._died
 
     def close(self) -> None:
@@ -125,23 +131,16 @@ class Prefetcher(Generic[_Item]):
             line.close()
 
 
-def _work(
-    line: Connection,
-    make: Callable[..., Any],
-    args: tuple[Any, ...],
-    count: int,
-    begins_later: bool,
-) -> None:
+def _work(line: Connection, make: Callable[..., Any], args: tuple[Any, ...], count: int) -> None:
     """Compute requested items until the connection is closed. From the first one on that is asked
     for when another is delivered, at low priority: until then a device waits that starts up.
     """
-    is_low, waits = False, begins_later
+    is_low = False
     try:
         while True:
             number, changed = line.recv()
-            if changed is not None:
-                args, waits = changed, False
-            if number >= count and not (is_low or waits):
+            args = args if changed is None else changed
+            if number >= count and not is_low:
                 _lower_priority()
                 is_low = True
             line.send(attempt(make, number, *args))
