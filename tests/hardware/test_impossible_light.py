@@ -214,7 +214,9 @@ def test_a_single_count_beyond_all_light_is_told(mode: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", ["plain", "s-matrix"])
-@pytest.mark.parametrize("cells", [(131,), (17,), (17, 40), (3, 60, 200)], ids=str)
+@pytest.mark.parametrize(
+    "cells", [(131,), (17,), (17, 40), (3, 60, 200), (10, 43, 96, 134, 187)], ids=str
+)
 def test_few_bright_cells_in_the_dark_are_no_wrong_counts(mode: Any, cells: Any) -> None:
     """All finest values of a bright cell may be far from 0, and their mean from the constant: half
     of the records had the warning. At SNR 1e3.

@@ -46,6 +46,16 @@ def test_skewed_errors_move_the_median_of_like_cells(spread, moves, at_most) -> 
     assert 0.85 * moved < stated < at_most
 
 
+def test_what_moves_the_median_is_in_its_interval_alone(monkeypatch) -> None:
+    shape = {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
+    capture = captured(load_scene("table1"), small("workable", **shape), Fidelity(samples=4), 1)
+    quantities = ("median", "best", "above 1")
+    before = [snr_interval(capture, quantity).systematic for quantity in quantities]
+    monkeypatch.setattr("twin.camera.snr_intervals._moved_by_skewed", lambda *_: 0.25)
+    after = [snr_interval(capture, quantity).systematic for quantity in quantities]
+    assert np.subtract(after, before) == pytest.approx([0.25, 0, 0])
+
+
 def test_the_median_of_table1_is_known_to_a_percent() -> None:
     """Renders of several seeds move it by 0.1 %, and each interval holds that of light of far more
     paths; stated errors of single cells, 0.2 of their noise, would shift it by 3 %.
