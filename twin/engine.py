@@ -11,7 +11,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +20,7 @@ from twin.errors import EngineError
 __all__ = [
     "OLDEST_LLVM",
     "EngineError",
+    "check_scenes_of_a_kernel",
     "ensure_llvm",
     "exr_threads",
     "llvm_version",
@@ -48,10 +48,12 @@ _REMEDY = (
 
 
 def mitsuba() -> ModuleType:
-    """Mitsuba with the variant of this machine set: CUDA where there is a GPU, else LLVM.
+    """Mitsuba on the processor, or in the variant that ``TWIN_VARIANT`` names (``llvm_ad_mono`` or
+    ``cuda_ad_mono``).
 
-    ``TWIN_VARIANT`` overrides the choice (``llvm_ad_mono`` or ``cuda_ad_mono``). The CUDA variant
-    has never been run: neither its results nor its times have been compared with LLVM's.
+    Never CUDA by itself, GPU or not: there a kernel traces one scene only
+    (`check_scenes_of_a_kernel`), and the radar compiles for minutes. Measured in
+    docs/howto/python.md.
 
     Raises EngineError where the variant can't be started.
     """
@@ -74,15 +76,23 @@ def sionna() -> ModuleType:
 
 
 def _variant() -> str:
-    name = os.environ.get("TWIN_VARIANT") or _variant_of_machine()
+    name = os.environ.get("TWIN_VARIANT") or "llvm_ad_mono"
     if name not in ("llvm_ad_mono", "cuda_ad_mono"):
         raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
     return name
 
 
-@lru_cache(maxsize=1)
-def _variant_of_machine() -> str:
-    return "cuda_ad_mono" if Path("/dev/nvidiactl").exists() else "llvm_ad_mono"
+def check_scenes_of_a_kernel(n_scenes: int, what: str) -> None:
+    """Raise EngineError where kernels that trace several scenes would be wrong.
+
+    With OptiX, Dr.Jit 1.5 traces one scene in a kernel. Rays of the others hit nothing, of which
+    it prints a warning.
+    """
+    if n_scenes > 1 and _variant().startswith("cuda"):
+        raise EngineError(
+            f"TWIN_VARIANT: cuda_ad_mono traces one scene in a kernel; {what}: "
+            "without TWIN_VARIANT they are computed on the processor"
+        )
 
 
 def _with_variant(name: str) -> ModuleType:

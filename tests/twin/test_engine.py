@@ -5,6 +5,7 @@ import platform
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from twin.camera.truth import Truth, write_truth
 from twin.engine import EngineError, ensure_llvm, llvm_version
 from twin.errors import InputError
 from twin.files import whole_folder
+from twin.optics.moving_scene import MovingScene
+from twin.radar.propagation.scene.slabs import walls
 from twin.scene import load_scene
 from twin.transfer import aligned
 
@@ -96,6 +99,18 @@ def test_unknown_variant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TWIN_VARIANT", "scalar_rgb")
     with pytest.raises(EngineError, match="TWIN_VARIANT: 'scalar_rgb'"):
         engine.mitsuba()
+
+
+def test_kernels_of_several_scenes_are_refused_on_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dr.Jit drops the rays of all but one, with a warning of its own."""
+    monkeypatch.setenv("TWIN_VARIANT", "cuda_ad_mono")
+    engine.check_scenes_of_a_kernel(1, "one")
+    with pytest.raises(EngineError, match="bodies that move are several"):
+        MovingScene([MagicMock(), MagicMock()])
+    with pytest.raises(EngineError, match="walls that let the radar through"):
+        walls(MagicMock(), MagicMock(), [], MagicMock(), 79e9)
+    monkeypatch.setenv("TWIN_VARIANT", "llvm_ad_mono")
+    engine.check_scenes_of_a_kernel(2, "two")
 
 
 def test_cuda_without_a_driver_stops_without_a_traceback(tmp_path: Path) -> None:

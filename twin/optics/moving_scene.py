@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from twin.engine import mitsuba
+from twin.engine import check_scenes_of_a_kernel, mitsuba
 from twin.transfer import aligned
 
 Array = NDArray[np.float64]
@@ -55,9 +55,11 @@ class MovingScene:
     pass it by, and where all rays of a packet do, it costs nothing.
 
     Not a dataclass: Dr.Jit would traverse its fields at every loop.
+    Raises EngineError for several bodies on CUDA, where a kernel traces one scene.
     """
 
     def __init__(self, bodies: Sequence[MovingBody]) -> None:
+        check_scenes_of_a_kernel(len(bodies), "bodies that move are several")
         self._bodies = tuple(bodies)
         self._instant: int | None = None
         self._placed = [_Placed(body, number) for number, body in enumerate(bodies)]
