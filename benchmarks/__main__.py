@@ -38,6 +38,7 @@ _ROOMS = (
     "stream",
     "motion",
     "at_rest",
+    "gpu",
     "lidar",
     "moving_radar",
     "driving",

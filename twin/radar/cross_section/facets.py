@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.radar.cross_section.aspects import Aspects
 from twin.radar.cross_section.subject import Subject, are_within, bare, subject_of
 from twin.radar.propagation.facets.adaptive_subdivision import subdivided_adaptively
@@ -102,7 +102,7 @@ def _radars(
     Two polarisations are sent at once along their diagonal and received at once by a circular
     antenna: neither mirrors nor corners that cross polarisation are missed.
     """
-    mi, zero = mitsuba(), np.zeros((len(aspects), 3))
+    mi, zero = mitsuba_of_radar(), np.zeros((len(aspects), 3))
     received, sent = aspects.received.swapaxes(0, 1), aspects.sent.swapaxes(0, 1)
     fields = [(field, zero) for field in received]
     fields += [(np.sqrt(0.5) * received[0], np.sqrt(0.5) * received[1])]

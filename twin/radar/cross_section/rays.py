@@ -23,7 +23,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.radar.cross_section.aspects import Aspects
 from twin.radar.scattering.kernel import launch, trace
 from twin.radar.scattering.surface import table
@@ -266,7 +266,7 @@ def _shot(
     target: MeshTarget, coefficients: Array, grids: list[_Grid], wavelength_m: float, bounces: int
 ) -> Array:
     """Sums of what `trace` returns over every grid, (n, 6): one ray per lane."""
-    mi, engine = mitsuba(), target.engine
+    mi, engine = mitsuba_of_radar(), target.engine
     sizes = np.array([grid.size for grid in grids])
     begin = np.cumsum(sizes) - sizes
     rows = np.array(

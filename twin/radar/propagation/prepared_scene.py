@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.context import tracing_context, with_images
@@ -158,7 +158,7 @@ def prepare_scene(
     )
     scatters = [role_of[item.name] is ScatteringModel.OPTICS for item in solid]
     once, remarks = echoing_once(solid, scatters, anchor, place_m)
-    mi, world, place = mitsuba(), mesher(once, anchor), place_m - anchor
+    mi, world, place = mitsuba_of_radar(), mesher(once, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
     mirrors, patch_of_face = flats(world, _zones(solid, role_of, place_m, wavelength))
     items, through = [item for item in world.items if item], None

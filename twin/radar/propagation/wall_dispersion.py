@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import epsilon_0
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.errors import InputError
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.one_way.points import paths_to_points
@@ -44,7 +44,7 @@ def dispersion_errors(
         wall_table(_lossy(scene, item.material, carrier, carrier + half), carrier).ravel()
         for item in prepared.items[len(prepared.world.items) :]
     ]
-    walls = replace(context.walls, table=mitsuba().Float64(np.concatenate(tables)))
+    walls = replace(context.walls, table=mitsuba_of_radar().Float64(np.concatenate(tables)))
     boxes = boxes_of(prepared.originals) - prepared.anchor_m
     places = []
     for number in range(len(errors)):

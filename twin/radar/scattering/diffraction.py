@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.errors import InputError
 from twin.radar.scattering.edges import Edges
 from twin.radar.scattering.fringe import moment, observed
@@ -133,7 +133,7 @@ def fringe_moment(
 
 def _visible(target: MeshTarget, radar: Radar, points: Array, outside: Array) -> NDArray[np.bool_]:
     """Whether nothing stands between points on edges and the radar."""
-    mi: Any = mitsuba()
+    mi: Any = mitsuba_of_radar()
     engine = target.engine
     nudge = 2e-5 * engine.radius_m
     start = points - engine.center_m + nudge * outside

@@ -7,7 +7,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.errors import InputError
 from twin.geometry import Geometry, mitsuba_mesh
 from twin.radar.scattering.surface import PEC, LayeredSurface
@@ -49,7 +49,7 @@ class TargetScene:
     """The mesh around its own centre as a Mitsuba scene in float32, its planes in float64."""
 
     def __init__(self, target: MeshTarget) -> None:
-        mi = mitsuba()
+        mi = mitsuba_of_radar()
         geometry = target.geometry
         center, self.radius_m = geometry.sphere
         # Rays are traced relative to the centre: float32 keeps what the mesh is, not where it is.

@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import mitsuba
+from twin.engine import mitsuba_of_radar
 from twin.geometry import Geometry, divided, mitsuba_mesh, planes
 from twin.scene import SceneObject
 from twin.scene.objects import IN_PLACE
@@ -115,7 +115,7 @@ class MeshScene:
             self._upload()
 
     def _upload(self) -> None:
-        mi = mitsuba()
+        mi = mitsuba_of_radar()
         if self.scene is None:
             mesh = mitsuba_mesh(mi, self.vertices, self.faces, name="world")
             self.scene = mi.load_dict({"type": "scene", "world": mesh})

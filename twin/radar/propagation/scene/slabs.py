@@ -17,7 +17,6 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.engine import check_scenes_of_a_kernel
 from twin.radar.propagation.scene.mesh_scene import MeshScene
 from twin.radar.scattering.arrays import ComplexVector3, Index, Mask, Real, Vector3
 from twin.radar.scattering.kernel import coefficients_at, plane
@@ -81,11 +80,7 @@ def walls(
     patch_of_face: NDArray[np.uint32],
     carrier_hz: float,
 ) -> Walls:
-    """Walls on the device; ``slabs``: permittivity and thickness of each (see `Walls`).
-
-    Raises EngineError on CUDA, where a kernel traces one scene: walls are a second.
-    """
-    check_scenes_of_a_kernel(2, "walls that let the radar through are a second one")
+    """Walls on the device; ``slabs``: permittivity and thickness of each (see `Walls`)."""
     rows = [wall_table(permittivity, carrier_hz).ravel() for permittivity, _ in slabs]
     return Walls(
         mesh,
