@@ -208,7 +208,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
     assert not any(v.worse for v in compare(RADAR_METRICS, good, good))
     for detector, expected in (
         (too_far, {"range_error_m", "range_offset_m"}),
-        (forgetful, {"range_error_m", "missed", "lost_echoes"}),
+        (forgetful, {"range_error_m", "missed", "undetected_echoes"}),
         (sees_ghosts, {"unmatched"}),
     ):
         verdicts = compare(RADAR_METRICS, good, figures(detector))
@@ -312,6 +312,35 @@ def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> Non
 
     assert worse(capture, weaker) == {"level_offset_db"}
     undeclared = replace(capture, truth=())
-    assert not figures(undeclared, vehicle_detector)["lost_echoes"].any()
+    assert not figures(undeclared, vehicle_detector)["undetected_echoes"].any()
     for detector in (without_the_strongest, with_a_ghost_for_it):
-        assert worse(undeclared, detector) == {"lost_echoes"}
+        assert worse(undeclared, detector) == {"undetected_echoes"}
+
+
+def test_every_strong_echo_that_is_lost_shows(twin_truth) -> None:
+    """Echoes far below the strongest, and parts of what is declared as one target: detections that
+    are left out were fewer `unmatched` alone, which passed as better.
+    """
+    scene, radar = load_scene("yard"), load_radar(RADAR)
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+    seen = {}
+
+    def detected(record):
+        return seen.setdefault(record.iq.tobytes(), vehicle_detector(record))
+
+    def figures(detector):
+        return run_radar(capture, radar, detector, range(2), RADAR_METRICS, 1e-6).figures
+
+    good = figures(detected)
+    first = next(iter(seen.values()))
+    strong = [one for one in first if one.snr_db > 23]
+    weakest = min(one.snr_db for one in strong)
+    assert max(one.snr_db for one in strong) > weakest + 40
+    for lost in strong:
+
+        def without(record, lost=lost):
+            return [d for d in detected(record) if abs(d.range_m - lost.range_m) > 0.02]
+
+        verdicts = compare(RADAR_METRICS, good, figures(without))
+        worse = {verdict.metric.name for verdict in verdicts if verdict.worse}
+        assert "undetected_echoes" in worse, lost.range_m
