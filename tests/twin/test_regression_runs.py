@@ -285,6 +285,21 @@ def test_carrier_steps_are_judged_by_the_cell_of_all_together(twin_truth) -> Non
     assert (found.figures["unmatched"] == 1).all()
 
 
+def test_what_the_oscillator_hides_is_no_strong_echo(twin_truth) -> None:
+    """Round a strong echo its noise is 30 dB over the receiver's, and side lobes of carrier steps
+    lie in it, some 40 dB over the receiver's: no detector finds them.
+    """
+    scene, radar = load_scene("yard"), load_radar("prototype")
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+
+    def figures(detector):
+        found = run_radar(capture, radar, detector, range(2), RADAR_METRICS, 1e-6)
+        return found.figures["undetected_echoes"]
+
+    assert not figures(vehicle_detector).any()
+    assert (figures(lambda _: []) >= 4).all()
+
+
 def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> None:
     """All 20 dB weaker; the strongest echo lost, and a ghost in its place, where none is declared:
     these had passed, the loss as a gain.
@@ -323,13 +338,15 @@ def test_every_strong_echo_that_is_lost_shows(twin_truth) -> None:
     """
     scene, radar = load_scene("yard"), load_radar(RADAR)
     capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+    wide = {"nearer_m": 20.0, "farther_m": 20.0, "slower_m_per_s": 5.0, "faster_m_per_s": 5.0}
+    bodies = replace(capture, truth=tuple(replace(target, **wide) for target in capture.truth))
     seen = {}
 
     def detected(record):
         return seen.setdefault(record.iq.tobytes(), vehicle_detector(record))
 
     def figures(detector):
-        return run_radar(capture, radar, detector, range(2), RADAR_METRICS, 1e-6).figures
+        return run_radar(bodies, radar, detector, range(2), RADAR_METRICS, 1e-6).figures
 
     good = figures(detected)
     first = next(iter(seen.values()))
