@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from twin.cli import app
 from twin.files import InputError
-from twin.sweep import open_sweep, run_sweep
-from twin.sweep.checksums import DamagedWarning, sealed
+from twin.sweep import DamagedWarning, open_sweep, run_sweep
+from twin.sweep.checksums import sealed
 
 #: The second illuminance saturates the converter: points that are void.
 GRID = '[grid]\n"link.distance_m" = [2, 5]\n"system.sky.illuminance_lx" = [0, "100 klx"]\n'
@@ -111,7 +111,7 @@ def test_a_folder_of_an_older_version_goes_on_without_checksums(finished) -> Non
         (out / name).write_text(json.dumps(content) + "\n")
     (out / "points" / "checksums.npy").unlink()
     (out / "results.sha256").unlink()
-    older = pytest.warns(DamagedWarning, match="of an older version, without checksums")
+    older = pytest.warns(DamagedWarning, match="without checksums, as of an older version")
     with older:
         assert open_sweep(out).identical(whole)
     for name in ("snr/.zarray", "snr/0.0", ".zattrs", ".zgroup"):
@@ -214,6 +214,9 @@ def test_lines_that_the_journal_lacks_are_told(study, tmp_path: Path, monkeypatc
     assert open_sweep(out).identical(whole)
     shutil.rmtree(out / "results.zarr")
     assert open_sweep(out).identical(whole)  # nothing is left to be warned of
+    with journal.open("a") as file:  # killed as it began to compute damaged points again
+        file.write(json.dumps(sealed({"again": [0, 1, 2, 3, 4, 5]})) + "\n")
+    assert open_sweep(out).attrs["points_done"] == 0
 
 
 def test_damaged_checksums_of_the_results_are_told_by_their_line(finished) -> None:
@@ -308,5 +311,5 @@ def test_damage_is_a_warning_of_the_commands(finished, tmp_path: Path) -> None:
     show = ["show", str(out), "--csv", str(tmp_path / "points.csv"), "--quiet"]
     for words in (show, ["sweep", str(path), "--out", str(out), "--json"]):
         shown = CliRunner().invoke(app, words, catch_exceptions=False)
-        assert f"warning: {out}/journal.jsonl: is missing: its points" in shown.stderr
+        assert f"warning: {out}/journal.jsonl: is missing: points that" in shown.stderr
     assert "journal.jsonl: is missing" in json.loads(shown.stdout)["warnings"][0]

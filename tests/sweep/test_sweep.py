@@ -24,8 +24,7 @@ from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
-from twin.sweep import load_study, open_sweep, run_sweep
-from twin.sweep.checksums import DamagedWarning
+from twin.sweep import DamagedWarning, load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import pareto_front, plot_front, plot_plane

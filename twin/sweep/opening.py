@@ -28,7 +28,7 @@ def open_sweep(out: str | Path) -> "xarray.Dataset":
             return open_results(results)
         if not ((out / "study.json").is_file() and is_sealed(read_plan(out))):
             data = open_results(results, of_older_version=True)
-            text = f"{results}: of an older version, without checksums: damage to it is not told"
+            text = f"{results}: without checksums, as of an older version: damage to it is not told"
             warnings.warn(text, DamagedWarning, stacklevel=2)
             return data
     store = Store(out, writable=False)

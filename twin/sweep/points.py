@@ -74,6 +74,12 @@ class PointNumbers:
             self._checksums[points] = checksums_of_points(written)
             _flush(self._checksums)
 
+    def written(self) -> NDArray[np.bool_]:
+        """Of each point, whether its checksum was written; of none where there are no checksums."""
+        if self._checksums is None or self.lost_checksums:
+            return np.zeros(len(self._gone), np.bool_)
+        return np.asarray(self._checksums != _NO_CHECKSUM)
+
     def differ(self) -> NDArray[np.bool_]:
         """Of each point, whether its numbers are others than were written, or none were yet."""
         if self._checksums is None:

@@ -54,7 +54,7 @@ _TEXT_LENGTH = 300
 _MOST_LINES = 4
 _UNSEEN = "damage to it is not told"
 _UNCHECKED = "numbers that results.zarr does not hold stand as they are, unchecked"
-_NOT_DONE = "its points show no numbers, and `twin sweep` computes them again"
+_NOT_DONE = "points that no line tells of show no numbers, and `twin sweep` computes them again"
 #: Keys of the journal's lines, one set for each kind of line.
 _TOLD = {"renders", "errors", "warnings", "void"}
 _ENTRIES = ({"scores"}, {"refine"}, {"again"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
@@ -84,10 +84,11 @@ class Store:
         )
         self.done: set[int] = set()
         self._to_refine: set[int] = set()
+        self._again: set[int] = set()
         self.progress = Progress()
         self.faults: list[str] = []
         if not self._needs_seal:
-            self.faults.append(f"{out}: of an older version, without checksums: {_UNSEEN}")
+            self.faults.append(f"{out}: without checksums, as of an older version: {_UNSEEN}")
         if self._points.lost_checksums:
             self.faults.append(f"{self._points.lost_checksums}: {_UNCHECKED}")
         self._read_journal(writable=writable)
@@ -97,7 +98,7 @@ class Store:
         return self.out / "journal.jsonl"
 
     def _read_journal(self, *, writable: bool) -> None:
-        path = self._journal
+        path, written = self._journal, self._points.written()  # first: a sweep may go on meanwhile
         text = path.read_text(errors="replace") if path.is_file() else ""
         intact, damaged = [], []
         *lines, end = text.split("\n")
@@ -113,29 +114,22 @@ class Store:
         if not path.is_file():
             self.faults.append(f"{path}: is missing: {_NOT_DONE}")
         elif damaged:
-            which = ", ".join(damaged[:_MOST_LINES]) + (
-                "" if damaged[_MOST_LINES:] == [] else ", ..."
-            )
+            more = ", ..." if damaged[_MOST_LINES:] else ""
+            which = ", ".join(damaged[:_MOST_LINES]) + more
             self.faults.append(f"{path}: is damaged in line {which}: {_NOT_DONE}")
-        elif (
-            self._n_untold() > self.chunk
-        ):  # of one run a kill may leave numbers without their line
-            self.faults.append(
-                f"{path}: lacks lines of points whose numbers are there: {_NOT_DONE}"
-            )
+        elif self._n_untold(written) > self.chunk:  # a kill leaves one run without its line
+            which = "lacks lines of points whose numbers are there"
+            self.faults.append(f"{path}: {which}: {_NOT_DONE}")
         if writable and (damaged or end):  # a line that a kill cut off has no end
             with whole_file(path) as partial:
                 partial.write_text("".join(f"{line}\n" for line in intact))
 
-    def _n_untold(self) -> int:
-        """How many points have numbers, and no line of the journal that says so."""
-        all_done = self.progress.points_done == self.study.n_points
-        if all_done or not self._needs_seal or self._points.lost_checksums:
-            return 0
-        untold = ~self._points.differ()
+    def _n_untold(self, written: NDArray[np.bool_]) -> int:
+        """How many points that are ``written`` no line of the journal tells of."""
+        written[list(self._again)] = False
         for run in self._runs_done():
-            untold[run] = False
-        return int(untold.sum())
+            written[run] = False
+        return int(written.sum())
 
     def damaged(self) -> set[int]:
         """All points of runs that are done in which numbers are not those that were written.
@@ -187,6 +181,7 @@ class Store:
             return
         if "again" in entry:
             points = set(entry["again"])
+            self._again |= points
             self.progress.forget(points)
             self.progress.refined -= points
             self.progress.points_done -= len(points)
