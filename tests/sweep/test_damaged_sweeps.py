@@ -131,13 +131,14 @@ def test_a_folder_of_an_older_version_goes_on_without_checksums(finished) -> Non
     assert open_sweep(out).identical(whole)
 
 
-def test_the_head_of_an_array_that_is_no_python_is_one_line(finished) -> None:
+@pytest.mark.parametrize("damaged", [(b"}", b"{"), (b"<f8", b",f8")])
+def test_the_head_of_an_array_that_is_no_python_is_one_line(finished, damaged) -> None:
     """NumPy evaluates it, and tells of a bracket that is not closed by an error of its own."""
     path, out, _ = finished
     shutil.rmtree(out / "results.zarr")
     numbers = out / "points" / "snr.npy"
     content = numbers.read_bytes()
-    numbers.write_bytes(content.replace(b"}", b"{", 1))
+    numbers.write_bytes(content.replace(*damaged, 1))
     with pytest.raises(InputError, match=r"snr\.npy: is damaged .*`twin sweep` again"):
         open_sweep(out)
     with pytest.warns(DamagedWarning, match=r"snr\.npy: is damaged"):
@@ -197,7 +198,8 @@ def test_a_study_that_is_missing_is_told_with_what_to_do(finished) -> None:
 def test_lines_that_the_journal_lacks_are_told(study, tmp_path: Path, monkeypatch) -> None:
     """A kill leaves the numbers of one run of points without their line, no more."""
     monkeypatch.setattr("twin.sweep.run._CLOSED_CHUNK", 2)
-    path, out = study('[grid]\n"link.distance_m" = [1, 2, 3, 4, 5, 6]\n', CLOSED), tmp_path / "out"
+    grid = '"link.distance_m" = [1, 2, 3]\n"system.sky.illuminance_lx" = [0, "100 klx"]\n'
+    path, out = study(f"[grid]\n{grid}", CLOSED), tmp_path / "out"
     run_sweep(path, out=out)
     whole = open_sweep(out).load()
     shutil.rmtree(out / "results.zarr")
@@ -208,11 +210,14 @@ def test_lines_that_the_journal_lacks_are_told(study, tmp_path: Path, monkeypatc
     journal.write_text(lines[0])
     with pytest.warns(DamagedWarning, match=r"journal\.jsonl: lacks lines"):
         assert open_sweep(out).attrs["points_done"] == 2
-    journal.write_text(lines[0] + lines[1].replace("renders", "Renders") + lines[2])
-    with pytest.warns(DamagedWarning, match=r"journal\.jsonl: is damaged in line 2:"):
-        run_sweep(path, out=out)
-    assert open_sweep(out).identical(whole)
-    shutil.rmtree(out / "results.zarr")
+    for damaged in (2, 1):
+        line = lines[damaged - 1]
+        journal.write_text("".join(lines).replace(line, line.replace("renders", "Renders")))
+        said = rf"journal\.jsonl: is damaged in line {damaged}:"
+        with pytest.warns(DamagedWarning, match=said):
+            run_sweep(path, out=out)
+        assert open_sweep(out).identical(whole)
+        shutil.rmtree(out / "results.zarr")
     assert open_sweep(out).identical(whole)  # nothing is left to be warned of
     with journal.open("a") as file:  # killed as it began to compute damaged points again
         file.write(json.dumps(sealed({"again": [0, 1, 2, 3, 4, 5]})) + "\n")

@@ -141,7 +141,7 @@ def _open(path: Path, n: int, dtype: type[np.generic], *, writable: bool) -> _Ma
         raise DamagedError(f"{path}: is missing") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, TokenError) as error:
+    except (ValueError, EOFError, TokenError, SyntaxError) as error:
         raise DamagedError(f"{path}: is damaged ({error})") from error
     if begun.shape != (n,) or begun.dtype != dtype:
         fault = f"{begun.dtype} {begun.shape}, expected {np.dtype(dtype)} {(n,)}"

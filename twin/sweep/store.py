@@ -85,6 +85,7 @@ class Store:
         self.done: set[int] = set()
         self._to_refine: set[int] = set()
         self._again: set[int] = set()
+        self._first_warned: dict[str, int] = {}
         self.progress = Progress()
         self.faults: list[str] = []
         if not self._needs_seal:
@@ -201,7 +202,10 @@ class Store:
         self.progress.errors |= {int(index): text for index, text in entry["errors"].items()}
         for kind, found in entry["warnings"].items():
             self.progress.warned.setdefault(kind, []).extend(found["points"])
-            self.progress.words.setdefault(kind, found["first"])
+            first = found["points"][0]
+            if first <= self._first_warned.get(kind, first):  # lines may come in any order
+                self.progress.words[kind] = found["first"]
+                self._first_warned[kind] = first
         for side, void in entry["void"].items():
             self.progress.void.setdefault(side, []).extend(void)
 
