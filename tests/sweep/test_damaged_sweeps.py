@@ -131,7 +131,7 @@ def test_a_folder_of_an_older_version_goes_on_without_checksums(finished) -> Non
     assert open_sweep(out).identical(whole)
 
 
-@pytest.mark.parametrize("damaged", [(b"}", b"{"), (b"<f8", b",f8")])
+@pytest.mark.parametrize("damaged", [(b"}", b"{"), (b"<f8", b",f8"), (b"\x93NUM", b"PK\3\4")])
 def test_the_head_of_an_array_that_is_no_python_is_one_line(finished, damaged) -> None:
     """NumPy evaluates it, and tells of a bracket that is not closed by an error of its own."""
     path, out, _ = finished

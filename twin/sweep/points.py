@@ -8,17 +8,16 @@ numbers stand, unchecked.
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
+from hardware.files import read_array, said
 from twin.files import InputError
 from twin.sweep.checksums import DamagedError, checksums_of_points
 
-_Mapped = np.memmap[Any, np.dtype[Any]]
 #: Of points that are not computed yet.
 _NO_NUMBER, _NO_CHECKSUM = np.float64(np.nan), np.uint32(0)
 
@@ -129,20 +128,23 @@ def _anew(path: Path, n: int, begun: np.generic, *, writable: bool) -> NDArray[A
     return open_memmap(path, mode="r+")
 
 
-def _open(path: Path, n: int, dtype: type[np.generic], *, writable: bool) -> _Mapped:
+def _open(path: Path, n: int, dtype: type[np.generic], *, writable: bool) -> NDArray[Any]:
     """One number per point, as `_reserve` made it; DamagedError for anything else.
 
     A file cut short is no array to go on with: where it is mapped for writing it grows again, and
     its end reads as zeros.
     """
     try:
-        begun = np.load(path, mmap_mode="r")
+        begun = read_array(path)
     except FileNotFoundError as error:
         raise DamagedError(f"{path}: is missing") from error
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, TokenError, SyntaxError) as error:
-        raise DamagedError(f"{path}: is damaged ({error})") from error
+        raise InputError(said(error)) from error
+    except InputError as error:
+        if isinstance(error.__cause__, OSError):  # the disk's, not the file's
+            raise
+        told = str(error).removeprefix(f"{path}: ")
+        raise DamagedError(f"{path}: is damaged ({told})") from error
     if begun.shape != (n,) or begun.dtype != dtype:
         fault = f"{begun.dtype} {begun.shape}, expected {np.dtype(dtype)} {(n,)}"
         raise DamagedError(f"{path}: is damaged ({fault})")
