@@ -91,7 +91,7 @@ def read_array(path: str | Path) -> "NDArray[Any]":
             raise InputError(f"{path}: is no NumPy array (.npy)")
     try:
         array: NDArray[Any] = np.load(path, mmap_mode="r")
-    except (ValueError, EOFError, OSError, TokenError) as error:
+    except (ValueError, EOFError, OSError, TokenError, SyntaxError) as error:
         raise InputError(f"{path}: can't be read as a NumPy array ({error})") from error
     return array
 

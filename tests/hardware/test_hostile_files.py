@@ -255,6 +255,14 @@ def test_what_is_no_array_is_not_said_to_be_a_pickle_to_trust(
         read_array(path)
 
 
+def test_the_head_of_an_array_that_is_no_python_is_one_line(tmp_path: Path) -> None:
+    """One flipped bit of its type, `<f8`, which NumPy evaluates."""
+    np.save(path := tmp_path / "light.npy", np.zeros(3))
+    path.write_bytes(path.read_bytes().replace(b"<f8", b",f8"))
+    with refused(path, "can't be read as a NumPy array"):
+        read_array(path)
+
+
 def test_a_folder_that_is_missing_is_told_by_the_users_name(
     record: SpiRecord, tmp_path: Path
 ) -> None:

@@ -197,6 +197,7 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     assert left > 10
 
 
+@pytest.mark.filterwarnings("ignore::twin.sweep.DamagedWarning")
 def test_numbers_that_were_damaged_after_they_were_refined_are_computed_to_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

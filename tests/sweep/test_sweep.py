@@ -24,7 +24,7 @@ from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.scene import load_scene
-from twin.sweep import load_study, open_sweep, run_sweep
+from twin.sweep import DamagedWarning, load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import pareto_front, plot_front, plot_plane
@@ -354,16 +354,19 @@ def test_kill_and_resume_give_the_same_bits(
     assert_is_what_one_process_gives(open_sweep(out), path)
 
 
-def test_numbers_that_were_cut_short_are_refused(study, tmp_path: Path) -> None:
+def test_numbers_that_were_cut_short_are_computed_again(study, tmp_path: Path) -> None:
     """Mapped for writing, a file grows back to its length by zeros, which look like results."""
     path = study('[grid]\n"link.distance_m" = [1.0, 2.0, 4.0]\n', CLOSED)
     run_sweep(path, out=tmp_path / "out")
+    whole = open_sweep(tmp_path / "out").load()
     numbers = tmp_path / "out" / "points" / "snr.npy"
-    for size in (0, 100, numbers.stat().st_size - 8):
+    length = numbers.stat().st_size
+    for size in (0, 100, length - 8):
         os.truncate(numbers, size)
-        with pytest.raises(InputError, match=r"snr\.npy: is damaged .* of 3 points"):
+        with pytest.warns(DamagedWarning, match=r"snr\.npy: is damaged .* of 3 points from 0 on"):
             run_sweep(path, out=tmp_path / "out")
-        assert numbers.stat().st_size == size
+        assert numbers.stat().st_size == length
+        assert open_sweep(tmp_path / "out").identical(whole)
 
 
 @pytest.mark.parametrize(
@@ -376,7 +379,8 @@ def test_a_damaged_line_of_the_journal_is_computed_again(
     run_sweep(path, out=tmp_path / "out")
     whole = open_sweep(tmp_path / "out").load()
     (tmp_path / "out" / "journal.jsonl").write_bytes(line + b"\n")
-    run_sweep(path, out=tmp_path / "out")
+    with pytest.warns(DamagedWarning, match=r"journal\.jsonl: is damaged in line 1: "):
+        run_sweep(path, out=tmp_path / "out")
     assert open_sweep(tmp_path / "out").identical(whole)
 
 

@@ -208,7 +208,7 @@ def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
     assert not any(v.worse for v in compare(RADAR_METRICS, good, good))
     for detector, expected in (
         (too_far, {"range_error_m", "range_offset_m"}),
-        (forgetful, {"range_error_m", "missed", "lost_echoes"}),
+        (forgetful, {"range_error_m", "missed", "undetected_echoes"}),
         (sees_ghosts, {"unmatched"}),
     ):
         verdicts = compare(RADAR_METRICS, good, figures(detector))
@@ -285,6 +285,21 @@ def test_carrier_steps_are_judged_by_the_cell_of_all_together(twin_truth) -> Non
     assert (found.figures["unmatched"] == 1).all()
 
 
+def test_what_the_oscillator_hides_is_no_strong_echo(twin_truth) -> None:
+    """Round a strong echo its noise is 30 dB over the receiver's, and side lobes of carrier steps
+    lie in it, some 40 dB over the receiver's: no detector finds them.
+    """
+    scene, radar = load_scene("yard"), load_radar("prototype")
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+
+    def figures(detector):
+        found = run_radar(capture, radar, detector, range(2), RADAR_METRICS, 1e-6)
+        return found.figures["undetected_echoes"]
+
+    assert not figures(vehicle_detector).any()
+    assert (figures(lambda _: []) >= 4).all()
+
+
 def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> None:
     """All 20 dB weaker; the strongest echo lost, and a ghost in its place, where none is declared:
     these had passed, the loss as a gain.
@@ -312,6 +327,37 @@ def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> Non
 
     assert worse(capture, weaker) == {"level_offset_db"}
     undeclared = replace(capture, truth=())
-    assert not figures(undeclared, vehicle_detector)["lost_echoes"].any()
+    assert not figures(undeclared, vehicle_detector)["undetected_echoes"].any()
     for detector in (without_the_strongest, with_a_ghost_for_it):
-        assert worse(undeclared, detector) == {"lost_echoes"}
+        assert worse(undeclared, detector) == {"undetected_echoes"}
+
+
+def test_every_strong_echo_that_is_lost_shows(twin_truth) -> None:
+    """Echoes far below the strongest, and parts of what is declared as one target: detections that
+    are left out were fewer `unmatched` alone, which passed as better.
+    """
+    scene, radar = load_scene("yard"), load_radar(RADAR)
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+    wide = {"nearer_m": 20.0, "farther_m": 20.0, "slower_m_per_s": 5.0, "faster_m_per_s": 5.0}
+    bodies = replace(capture, truth=tuple(replace(target, **wide) for target in capture.truth))
+    seen = {}
+
+    def detected(record):
+        return seen.setdefault(record.iq.tobytes(), vehicle_detector(record))
+
+    def figures(detector):
+        return run_radar(bodies, radar, detector, range(2), RADAR_METRICS, 1e-6).figures
+
+    good = figures(detected)
+    first = next(iter(seen.values()))
+    strong = [one for one in first if one.snr_db > 23]
+    weakest = min(one.snr_db for one in strong)
+    assert max(one.snr_db for one in strong) > weakest + 40
+    for lost in strong:
+
+        def without(record, lost=lost):
+            return [d for d in detected(record) if abs(d.range_m - lost.range_m) > 0.02]
+
+        verdicts = compare(RADAR_METRICS, good, figures(without))
+        worse = {verdict.metric.name for verdict in verdicts if verdict.worse}
+        assert "undetected_echoes" in worse, lost.range_m

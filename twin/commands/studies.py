@@ -1,8 +1,10 @@
 """`twin sweep`, `show`, `trade`: design spaces, and speed against accuracy."""
 
 import sys
+import warnings
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -21,7 +23,7 @@ from twin.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     import xarray
     from matplotlib.figure import Figure
@@ -56,15 +58,16 @@ def sweep(
     accuracy = _accuracy_asked(
         say, plan, out, fidelity=fidelity, tolerance=tolerance, within=within
     )
-    done = run_sweep(
-        plan,
-        out=out,
-        scheduler=scheduler,
-        workers=workers,
-        yes=yes,
-        fidelity=accuracy,
-        scores=scores_asked(tolerance),
-    )
+    with _damage_told(say):
+        done = run_sweep(
+            plan,
+            out=out,
+            scheduler=scheduler,
+            workers=workers,
+            yes=yes,
+            fidelity=accuracy,
+            scores=scores_asked(tolerance),
+        )
     failed = f", {done.n_failed} failed" if done.n_failed else ""
     void = f", {done.n_void} void" if done.n_void else ""
     coarse = "" if done.n_coarse is None else f", {done.n_coarse} of them coarse: off the front"
@@ -93,6 +96,32 @@ def sweep(
         raise typer.Exit(1)
 
 
+@contextmanager
+def _damage_told(say: Output) -> "Iterator[None]":
+    """Tell what Python would be warned of: damage to a sweep's folder."""
+    from twin.sweep.checksums import DamagedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", DamagedWarning)
+        others = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if issubclass(category, DamagedWarning):
+                say.warn(message, is_loss=True)
+            else:
+                others(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = show
+        yield
+
+
 def _accuracy_asked(
     say: Output,
     study: "Study",
@@ -108,9 +137,9 @@ def _accuracy_asked(
     from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import named_in, with_accuracy
     from twin.sweep.inputs import inputs_of
+    from twin.sweep.plan import stored_accuracy
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
-    from twin.sweep.store import stored_accuracy
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
@@ -149,7 +178,11 @@ def show(
         bool, typer.Option("--void", help="Include points whose record is void.")
     ] = False,
     csv: Annotated[
-        Path | None, typer.Option(help="CSV file to write: designs on the front, else all points.")
+        Path | None,
+        typer.Option(
+            help="CSV file to write: designs on the front, else all points; alone, without a "
+            "picture."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="PNG file; default in the folder.")] = None,
     save: Annotated[
@@ -163,14 +196,15 @@ def show(
     """Draw a sweep: a metric over parameters, what moves it most, or a Pareto front of two, whose
     designs are listed; and save a design as a system of one's own.
     """
-    from hardware.files import whole_file
+    from hardware.files import said, whole_file
     from twin.errors import InputError
     from twin.sweep import open_sweep
     from twin.sweep.dataset import metrics_of
     from twin.sweep.front import all_points, write_rows
     from twin.sweep.show import plot_front, plot_plane
 
-    data = open_sweep(sweep)
+    with _damage_told(say):
+        data = open_sweep(sweep)
     needs_picture = metric is not None or out is not None or csv is None
     metric = metric or metrics_of(data)[0]
     if point is not None and save is None:
@@ -188,27 +222,40 @@ def show(
             if needs_picture:
                 raise
             say.line(f"note: no picture: {error}")
-    if figure is not None:
-        drawn = "-".join(filter(None, (metric, front))).replace(":", ".")
-        out = out or sweep / f"{drawn}.png"
-        with whole_file(out) as partial:
-            figure.savefig(partial, dpi=150, format=out.suffix[1:] or "png")
-        say.written(out)
     if front is None and (figure is not None or csv is not None):
-        _tell_warned(say, data)
+        _tell_warned(say, data, void=void)
     if csv is not None and front is None:
         write_rows(all_points(data, void=void), csv)
         say.written(csv)
+    if figure is not None and (needs_picture or front or x):
+        drawn = "-".join(filter(None, (metric, front))).replace(":", ".")
+        picture = out or sweep / f"{drawn}.png"
+        try:
+            with whole_file(picture) as partial:
+                figure.savefig(partial, dpi=150, format=picture.suffix[1:] or "png")
+            say.written(picture)
+        except OSError as error:  # a folder that can only be read
+            if out is not None or csv is None:
+                raise
+            say.line(f"note: no picture: {said(error)}; --out FILE.png draws it elsewhere")
     if save is not None:
         _save_design(say, sweep, data, metric, point, void=void, path=save)
 
 
 def _tell_warned(
-    say: Output, data: "xarray.Dataset", points: "Sequence[int] | None" = None
+    say: Output,
+    data: "xarray.Dataset",
+    points: "Sequence[int] | None" = None,
+    *,
+    void: bool = False,
 ) -> None:
-    """Warnings that were given of some points, or of any."""
-    from twin.sweep.dataset import warned_points
+    """Warnings that were given of some points, or of any that are not void."""
+    from twin.sweep.dataset import void_points, warned_points
 
+    if points is None and not void and (is_void := void_points(data)).any():
+        n = f"{is_void.sum()} of {counted(is_void.size, 'point')}"
+        say.line(f"note: {n} void, without figures: no warnings of these; --void counts them")
+        points = (~is_void).nonzero()[0].tolist()
     for one in warned_points(data):
         some = one if points is None else one.of(points)
         if some.points:

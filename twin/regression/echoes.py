@@ -8,16 +8,14 @@ from numpy.typing import NDArray
 
 from hardware.radar import Detection, OfdmWaveform, range_doppler
 from hardware.radar.burst import DemodulatedBurst
-from hardware.radar.windows import noise_gain
-from twin.radar.truth import TrueTarget
 
 Array = NDArray[np.float64]
 
 _WINDOW = "blackmanharris"  # its side lobes are 92 dB down: every peak is an echo
-_OVER_NOISE = 100.0  # power over the noise of the map, with which every detector finds an echo
-_BELOW_STRONGEST = 1e-4  # of the strongest's power; below, phase noise and leakage may hide one
+_SIDE_LOBES = 1e-9  # of the strongest's power; below, one may be a side lobe after all
+_OVER_NOISE = 100.0  # power over the noise beside it, with which every detector finds an echo
+_NOISE_BESIDE = 3  # cells to each side, whose noise is averaged
 _BESIDE = 2  # cells, within which the highest is the peak
-_FOLDS = 8  # of a target's rate, to each side
 _CELLS = 2.0  # within which a detection is of an echo, as of a target
 
 
@@ -29,20 +27,6 @@ class StrongEchoes:
     range_rate_m_per_s: Array
     waveform: OfdmWaveform
 
-    def without(self, targets: Iterable[TrueTarget]) -> "StrongEchoes":
-        """Those that do not lie within two cells of a target's object."""
-        wave = self.waveform
-        folds = 2 * wave.max_velocity_m_per_s * np.arange(-_FOLDS, _FOLDS + 1)
-        free = np.ones(len(self.range_m), dtype=bool)
-        for target in targets:
-            for i, (range_m, rate) in enumerate(
-                zip(self.range_m, self.range_rate_m_per_s, strict=True)
-            ):
-                off_range, off_rate = target.beside(range_m, rate + folds)
-                near = off_range <= _CELLS * wave.range_cell_m
-                free[i] &= not (near and off_rate <= _CELLS * wave.velocity_cell_m_per_s)
-        return StrongEchoes(self.range_m[free], self.range_rate_m_per_s[free], wave)
-
     def beside(self, range_m: float, range_rates_m_per_s: Iterable[float]) -> NDArray[np.bool_]:
         """Which of them lie within two cells of a range and one of these rates; NaN tells nothing
         against one.
@@ -53,7 +37,7 @@ class StrongEchoes:
         off = _apart(self.range_rate_m_per_s[:, None] - rates, 2 * wave.max_velocity_m_per_s)
         return np.asarray(near & (off.min(axis=1) <= _CELLS * wave.velocity_cell_m_per_s))
 
-    def n_lost(self, detections: Iterable[Detection]) -> int:
+    def n_undetected(self, detections: Iterable[Detection]) -> int:
         """How many have no detection."""
         found = np.zeros(len(self.range_m), dtype=bool)
         for one in detections:
@@ -62,18 +46,24 @@ class StrongEchoes:
         return int(np.count_nonzero(~found))
 
 
-def strong_echoes(quiet: DemodulatedBurst, sample_noise_w: float) -> StrongEchoes:
-    """Peaks of the map of a burst without noise that are 20 dB over the noise of ``sample_noise_w``
-    on it, and no more than 40 dB below the strongest.
+def strong_echoes(quiet: DemodulatedBurst, noisy: Iterable[DemodulatedBurst]) -> StrongEchoes:
+    """Peaks of the map of a burst without noise that are 20 dB over the noise beside them.
+
+    ``noisy``: the same burst with a few draws of the noise. They differ by the noise at each
+    place of the map: the receiver's is the same everywhere, and the oscillator's lies round strong
+    echoes, where it hides weaker ones however far they are over the receiver's.
     """
-    from scipy.ndimage import maximum_filter
+    from scipy.ndimage import maximum_filter, uniform_filter
 
     wave = quiet.waveform
+
     image = range_doppler(quiet.channel, wave, _WINDOW)
     power = image.power_w
-    noise_w = sample_noise_w * noise_gain(_WINDOW, power.shape) / power.size
+    off = (burst.channel - quiet.channel for burst in noisy)
+    noise_w = np.mean([range_doppler(each, wave, _WINDOW).power_w for each in off], axis=0)
+    beside_w = uniform_filter(noise_w, 2 * _NOISE_BESIDE + 1, mode="wrap")
     highest = maximum_filter(power, 2 * _BESIDE + 1, mode="wrap") <= power
-    strong = power > max(_OVER_NOISE * noise_w, _BELOW_STRONGEST * float(power.max()))
+    strong = power > np.maximum(_OVER_NOISE * beside_w, _SIDE_LOBES * power.max())
     rows, columns = np.nonzero(highest & strong)
     return StrongEchoes(image.range_m[rows], image.range_rate_m_per_s[columns], wave)
 

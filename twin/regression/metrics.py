@@ -49,13 +49,13 @@ class Metric:
 @dataclass(frozen=True)
 class RadarResult:
     """Detections of one record, each with its true target or None, the size of a range cell, and
-    how many strong echoes that are no declared target have no detection.
+    how many strong echoes have no detection.
     """
 
     detections: tuple[Detection, ...]
     matches: tuple[TrueTarget | None, ...]
     range_cell_m: float
-    lost_echoes: int = 0
+    undetected_echoes: int = 0
 
 
 def psnr_db(truth: Image, image: Image) -> float:
@@ -126,13 +126,13 @@ def unmatched(_: tuple[TrueTarget, ...], found: RadarResult) -> float:
     return float(sum(target is None for target in found.matches))
 
 
-def lost_echoes(_: tuple[TrueTarget, ...], found: RadarResult) -> float:
-    """Strong echoes of the scene without a detection, of walls and other bodies that are no
-    declared target: peaks 20 dB over the noise, see `twin.regression.echoes`.
+def undetected_echoes(_: tuple[TrueTarget, ...], found: RadarResult) -> float:
+    """Strong echoes of the scene without a detection, of walls, of each part of a target and of
+    bodies that are none: peaks 20 dB over the noise beside them, see `twin.regression.echoes`.
 
     So losing them, which lowers `unmatched`, is none the better.
     """
-    return float(found.lost_echoes)
+    return float(found.undetected_echoes)
 
 
 #: Losses below these tolerances are not looked for; all are far below what a picture shows.
@@ -147,5 +147,5 @@ RADAR_METRICS = (
     Metric("level_offset_db", "dB", level_offset_db, 0.01, either_way=True),
     Metric("missed", "targets", missed, 0.01),
     Metric("unmatched", "detections", unmatched, 0.01),
-    Metric("lost_echoes", "echoes", lost_echoes, 0.01),
+    Metric("undetected_echoes", "echoes", undetected_echoes, 0.01),
 )

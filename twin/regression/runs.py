@@ -34,6 +34,7 @@ from twin.system import System
 Array = NDArray[np.float64]
 #: What `hardware.reconstruct` takes, or a function from a record to an image (rows, columns).
 Method = str | Callable[..., Any]
+_NOISE_DRAWS = 4  # of which the noise beside echoes is the mean, of some 50 cells each
 #: From a record to detections, or what `hardware.Processing` takes.
 RadarDetector = str | Callable[..., Any]
 
@@ -209,16 +210,16 @@ def run_radar(
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         return replace(capture.record, iq=iq, flags=flags)
 
-    echoes = strong_echoes(demodulate(joinable(drawn(0, noisy=False))), radar.sample_noise_w)
+    noisy = (demodulate(joinable(drawn(seed))) for seed in range(_NOISE_DRAWS))
+    echoes = strong_echoes(demodulate(joinable(drawn(0, noisy=False))), noisy)
     wave = echoes.waveform
-    others = echoes.without(truth)
     for seed in seeds:
         record = drawn(seed)
         content.update(np.ascontiguousarray(record.iq).tobytes() + record.flags.tobytes())
         detections = _detections(detect(record))
         matches = match_detections(detections, truth, wave)
-        lost = others.n_lost(detections)
-        found.append(RadarResult(detections, matches, wave.range_cell_m, lost))
+        undetected = echoes.n_undetected(detections)
+        found.append(RadarResult(detections, matches, wave.range_cell_m, undetected))
     figures = _figures(metrics, [truth] * len(found), found)
     return SeedResults(figures, truth, found, content.hexdigest())
 

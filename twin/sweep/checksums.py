@@ -8,6 +8,7 @@ nor files that are missing, which read as fill values.
 
 import hashlib
 import json
+import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,8 +20,16 @@ from numpy.typing import NDArray
 _KEY = "crc32"
 
 
+#: A line of the checksums of files.
+_SUM = re.compile(r"([0-9a-f]{64})  (\S.*)")
+
+
 class DamagedError(ValueError):
     """What was read is not what was written."""
+
+
+class DamagedWarning(UserWarning):
+    """What of a sweep's folder is damaged or missing, where the rest can be gone on with."""
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -63,21 +72,42 @@ def sums_file(folder: Path) -> Path:
 
 def write_sums(folder: Path) -> None:
     """Write the checksums of all files of a folder beside it."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    lines = (f"{_digest(path)}  {path.relative_to(folder.parent).as_posix()}\n" for path in files)
+    lines = (f"{_digest(folder.parent / name)}  {name}\n" for name in _files(folder))
     sums_file(folder).write_text("".join(lines), encoding="utf-8")
 
 
 def fault_in(folder: Path) -> str:
-    """The first file of a folder that is not what `write_sums` saw, in words; else empty."""
-    for line in sums_file(folder).read_text(encoding="utf-8", errors="replace").splitlines():
-        digest, _, name = line.partition("  ")
-        path = folder.parent / name
-        if not path.is_file():
-            return f"{name}: is missing"
-        if _digest(path) != digest:
-            return f"{name}: is damaged, not what its checksum in {sums_file(folder).name} says"
+    """The first file of a folder that is not what `write_sums` saw, in words; else empty.
+
+    A line of the checksums that is damaged may hold any name: none of it is told but its number.
+    """
+    sums = sums_file(folder)
+    left = set(_files(folder))
+    lines = sums.read_text(encoding="utf-8", errors="replace").split("\n")
+    missing = []
+    for number, line in enumerate(lines[:-1], 1):
+        digest, name = found.groups() if (found := _SUM.fullmatch(line)) else ("", "")
+        if name in left:
+            left.remove(name)
+            if _digest(folder.parent / name) != digest:
+                return f"{name}: is damaged, or its checksum in {sums.name}, line {number}, is"
+        elif not name.isprintable() or not name.startswith(f"{folder.name}/"):
+            return f"{sums.name}: is damaged in line {number}"
+        else:
+            missing.append((number, name))
+    if left and missing:  # by another name
+        return f"{sums.name}: is damaged in line {missing[0][0]}"
+    if missing:
+        return f"{missing[0][1]}: is missing"
+    if left or lines[-1]:
+        return f"{sums.name}: is damaged: lacks {min(left, default='the end of its last line')}"
     return ""
+
+
+def _files(folder: Path) -> list[str]:
+    """All files of a folder, by their places beside it."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return [path.relative_to(folder.parent).as_posix() for path in files]
 
 
 def _digest(path: Path) -> str:

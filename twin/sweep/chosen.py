@@ -19,8 +19,8 @@ from twin.sweep.dataset import COARSE, column, gain, half_width
 from twin.sweep.inputs import beside, digest_now
 from twin.sweep.names import needs_radar
 from twin.sweep.parameters import full_name
+from twin.sweep.plan import stored_inputs, stored_study
 from twin.sweep.setup import Values, groups_of
-from twin.sweep.store import stored_inputs, stored_study
 from twin.sweep.study import Study, Value
 from twin.system import load_system
 from twin.toml import names_file, placed

@@ -258,6 +258,15 @@ def column(data: "xarray.Dataset", metric: str, *, void: bool = False) -> "xarra
     return values.assign_attrs(data[metric].attrs)
 
 
+def void_points(data: "xarray.Dataset") -> NDArray[np.bool_]:
+    """Of each point, by number, whether the records of all its metrics are void."""
+    void = np.ones(data["error"].size, np.bool_)
+    for metric in metrics_of(data):
+        marks = data[metric].attrs.get("void", "").split()
+        void &= np.any([data[mark].to_numpy().ravel() for mark in marks], axis=0)
+    return void
+
+
 def gain(values: "xarray.DataArray") -> "xarray.DataArray":
     """A metric, as a sweep's dataset holds it, so that more is better."""
     name = str(values.name)

@@ -12,6 +12,7 @@ study, versions of the libraries, digests of all inputs. All have checksums, see
 import json
 import os
 import shutil
+import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,18 +20,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from hardware.files import place_beside, read_json
-from hardware.formatting import setting_text
+from hardware.files import place_beside, whole_file
+from hardware.formatting import counted
 from twin.digest import versions
-from twin.fidelity import PRESETS, Fidelity, Tolerance
-from twin.fidelity.knobs import NONE
 from twin.files import InputError, new_folder
-from twin.sweep.accuracy import accuracy_of, other_accuracy
-from twin.sweep.accuracy_names import KNOB, PRESET, TOLERANCE
 from twin.sweep.checksums import (
     DamagedError,
+    DamagedWarning,
     is_sealed,
     sealed,
     sums_file,
@@ -41,10 +38,11 @@ from twin.sweep.dataset import Label, Progress, column, dataset, gain
 from twin.sweep.evaluate import Chunk
 from twin.sweep.inputs import Inputs
 from twin.sweep.names import MODEL_ERRORS, columns_of
+from twin.sweep.plan import check_same, read_plan, study_of
 from twin.sweep.points import PointNumbers, reserve
 from twin.sweep.refinement import coarse_study, largest_errors, may_be_on_front
+from twin.sweep.results import open_results
 from twin.sweep.study import Study
-from twin.toml import describe
 
 if TYPE_CHECKING:
     import xarray
@@ -52,43 +50,87 @@ if TYPE_CHECKING:
 Points = NDArray[np.intp]
 
 _TEXT_LENGTH = 300
-#: Of two studies, that are told.
-_MOST_DIFFERENCES = 4
-_UNSET = "(not set)"
+#: Numbers of lines of the journal that are told.
+_MOST_LINES = 4
+_UNSEEN = "damage to it is not told"
+_UNCHECKED = "numbers that results.zarr does not hold stand as they are, unchecked"
+_NOT_DONE = "points that no line tells of show no numbers, and `twin sweep` computes them again"
 #: Keys of the journal's lines, one set for each kind of line.
 _TOLD = {"renders", "errors", "warnings", "void"}
 _ENTRIES = ({"scores"}, {"refine"}, {"again"}, {"refined", *_TOLD}, {"start", "stop", *_TOLD})
 
 
 class Store:
-    """A sweep's folder that exists; see `create_or_resume`."""
+    """A sweep's folder that exists; see `create_or_resume`.
 
-    def __init__(self, out: Path) -> None:
+    ``writable``: points are to be computed; else no file is written to. ``faults``: what is damaged
+    or missing, with its file, where the rest can be gone on with.
+    """
+
+    def __init__(self, out: Path, *, writable: bool) -> None:
         self.out, plan = out, read_plan(out)
         self._needs_seal = is_sealed(plan)
-        self.study = _study_of(out, plan)
+        self.study = study_of(out, plan)
         self.chunk: int = plan["chunk"]
         self._plan = plan
         # A sweep begun before metrics had errors goes on without.
         columns = plan.get("columns", self.study.metrics)
         self._points = PointNumbers(
-            out / "points", columns, self.study.n_points, has_checksums=self._needs_seal
+            out / "points",
+            columns,
+            self.study.n_points,
+            has_checksums=self._needs_seal,
+            writable=writable,
         )
         self.done: set[int] = set()
         self._to_refine: set[int] = set()
+        self._again: set[int] = set()
+        self._first_warned: dict[str, int] = {}
         self.progress = Progress()
-        self._read_journal()
+        self.faults: list[str] = []
+        if not self._needs_seal:
+            self.faults.append(f"{out}: without checksums, as of an older version: {_UNSEEN}")
+        if self._points.lost_checksums:
+            self.faults.append(f"{self._points.lost_checksums}: {_UNCHECKED}")
+        self._read_journal(writable=writable)
 
-    def _read_journal(self) -> None:
-        path = self.out / "journal.jsonl"
-        if not path.is_file():
-            return
-        # A line cut off by a kill, or damaged: its points are computed again.
-        for line in path.read_text(errors="replace").splitlines():
-            with suppress(ValueError):
+    @property
+    def _journal(self) -> Path:
+        return self.out / "journal.jsonl"
+
+    def _read_journal(self, *, writable: bool) -> None:
+        path, written = self._journal, self._points.written()  # first: a sweep may go on meanwhile
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        intact, damaged = [], []
+        *lines, end = text.split("\n")
+        for number, line in enumerate(lines, 1):
+            try:
                 entry = json.loads(line)
-                if isinstance(entry, dict) and any(keys <= entry.keys() for keys in _ENTRIES):
-                    self._note(unsealed(entry, needs_seal=self._needs_seal))
+                if not (isinstance(entry, dict) and any(k <= entry.keys() for k in _ENTRIES)):
+                    raise DamagedError("of another kind")
+                self._note(unsealed(entry, needs_seal=self._needs_seal))
+                intact.append(line)
+            except ValueError:
+                damaged.append(str(number))
+        if not path.is_file():
+            self.faults.append(f"{path}: is missing: {_NOT_DONE}")
+        elif damaged:
+            more = ", ..." if damaged[_MOST_LINES:] else ""
+            which = ", ".join(damaged[:_MOST_LINES]) + more
+            self.faults.append(f"{path}: is damaged in line {which}: {_NOT_DONE}")
+        elif self._n_untold(written) > self.chunk:  # a kill leaves one run without its line
+            which = "lacks lines of points whose numbers are there"
+            self.faults.append(f"{path}: {which}: {_NOT_DONE}")
+        if writable and (damaged or end):  # a line that a kill cut off has no end
+            with whole_file(path) as partial:
+                partial.write_text("".join(f"{line}\n" for line in intact))
+
+    def _n_untold(self, written: NDArray[np.bool_]) -> int:
+        """How many points that are ``written`` no line of the journal tells of."""
+        written[list(self._again)] = False
+        for run in self._runs_done():
+            written[run] = False
+        return int(written.sum())
 
     def damaged(self) -> set[int]:
         """All points of runs that are done in which numbers are not those that were written.
@@ -96,8 +138,32 @@ class Store:
         Those that a kill left half written are not done yet, or not as finely as asked.
         """
         differ = self._points.differ()
+        if self._points.lost_checksums:
+            differ |= self._unlike_results()
         differ[list(self._to_refine - self.progress.refined)] = False
         return {point for run in self._runs_done() if differ[run].any() for point in run.tolist()}
+
+    def _unlike_results(self) -> NDArray[np.bool_]:
+        """Of each point, whether its numbers are others than in ``results.zarr``, where that is
+        there and whole.
+        """
+        unlike = np.zeros(self.study.n_points, np.bool_)
+        results = self.out / "results.zarr"
+        with suppress(InputError, OSError):
+            whole = open_results(results)
+            for name, numbers in self._points.arrays.items():
+                held = whole[name].to_numpy().ravel()
+                unlike |= (numbers != held) & ~(np.isnan(numbers) & np.isnan(held))
+        return unlike
+
+    def told(self, damaged: set[int]) -> str:
+        """What is `damaged`, in words that begin with its file."""
+        which = f"{counted(len(damaged), 'point')} from {min(damaged)} on"
+        if lost := self._points.lost:
+            more = f", and {counted(len(lost) - 1, 'other file')} like it" if lost[1:] else ""
+            return f"{lost[0]}{more}: numbers of {which} are gone"
+        where = self.out / "points"
+        return f"{where}: is damaged: numbers of some of {which} are not those that were written"
 
     def _runs_done(self) -> Iterator[Points]:
         n = self.study.n_points
@@ -116,6 +182,7 @@ class Store:
             return
         if "again" in entry:
             points = set(entry["again"])
+            self._again |= points
             self.progress.forget(points)
             self.progress.refined -= points
             self.progress.points_done -= len(points)
@@ -135,7 +202,10 @@ class Store:
         self.progress.errors |= {int(index): text for index, text in entry["errors"].items()}
         for kind, found in entry["warnings"].items():
             self.progress.warned.setdefault(kind, []).extend(found["points"])
-            self.progress.words.setdefault(kind, found["first"])
+            first = found["points"][0]
+            if first <= self._first_warned.get(kind, first):  # lines may come in any order
+                self.progress.words[kind] = found["first"]
+                self._first_warned[kind] = first
         for side, void in entry["void"].items():
             self.progress.void.setdefault(side, []).extend(void)
 
@@ -207,21 +277,14 @@ class Store:
 
     def _append(self, entry: dict[str, Any]) -> None:
         try:
-            with (self.out / "journal.jsonl").open("a") as journal:
-                # After a kill the last line may lack its end.
-                lead = "\n" if journal.tell() and not self._ends_well() else ""
-                journal.write(lead + json.dumps(sealed(entry)) + "\n")
+            with self._journal.open("a") as journal:
+                journal.write(json.dumps(sealed(entry)) + "\n")
         except OSError as error:
             raise self._full(error) from error
         self._note(entry)
 
     def _full(self, error: OSError) -> InputError:
         return InputError(f"{self.out}: {error.strerror or error}; what is done stays")
-
-    def _ends_well(self) -> bool:
-        with (self.out / "journal.jsonl").open("rb") as journal:
-            journal.seek(-1, os.SEEK_END)
-            return journal.read(1) == b"\n"
 
     def finish(self) -> None:
         """Write the dataset, whole or not at all."""
@@ -277,106 +340,20 @@ def create_or_resume(
         "columns": columns_of(study.metrics, study.model),
     }
     if (out / "study.json").is_file():
-        _check(out, read_plan(out), plan)
+        check_same(out, read_plan(out), plan)
+    elif (out / "points").is_dir():
+        read_plan(out)  # raises what is to be said of a sweep without one
     elif out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: is not empty and holds no sweep; expected a new folder")
     else:
         with new_folder(out) as folder:
             reserve(folder / "points", plan["columns"], study.n_points)
+            (folder / "journal.jsonl").touch()
             (folder / "study.json").write_text(json.dumps(sealed(plan), indent=1))
-    store = Store(out)
+    store = Store(out, writable=True)
     if damaged := store.damaged():
+        store.faults.append(f"{store.told(damaged)}; they are computed again")
         store.compute_again(damaged)
+    for fault in store.faults:
+        warnings.warn(fault, DamagedWarning, stacklevel=3)
     return store
-
-
-def _check(out: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Raise InputError where a folder's points are of something else."""
-    if differs := other_accuracy(old["study"], new["study"]):
-        raise InputError(
-            f"{out}: holds results of {differs}; expected the same, or another folder (--out)"
-        )
-    if different := _differences("", old["study"], new["study"]):
-        shown = "; ".join(different[:_MOST_DIFFERENCES])
-        if len(different) > _MOST_DIFFERENCES:
-            shown += f" and {len(different) - _MOST_DIFFERENCES} more"
-        raise InputError(
-            f"{out}: holds results of another study: {shown}; "
-            "expected the same, or another folder (--out)"
-        )
-    for kind, what in (("versions", "other versions of"), ("inputs", "other content of")):
-        names = old[kind].keys() | new[kind].keys()
-        if other := sorted(n for n in names if old[kind].get(n) != new[kind].get(n)):
-            raise InputError(
-                f"{out}: holds results of {what} {', '.join(other)}; expected the same, or "
-                "another folder (--out)"
-            )
-
-
-def _differences(name: str, old: Any, new: Any) -> list[str]:
-    """What differs between two studies as they are stored, by dotted name: the old, the new."""
-    if old == new:
-        return []
-    if isinstance(old, dict) and isinstance(new, dict):
-        return [
-            text
-            for key in dict.fromkeys((*old, *new))
-            for text in _differences(f"{name}.{key}".lstrip("."), old.get(key), new.get(key))
-        ]
-    was, now = (_UNSET if value is None else setting_text("", value) for value in (old, new))
-    return [f"{name} = {was}, not {now}" if was != now else f"{name}: other values"]
-
-
-def read_plan(out: Path) -> dict[str, Any]:
-    """What a folder's ``study.json`` says. Raises InputError."""
-    path = out / "study.json"
-    try:
-        plan: dict[str, Any] = read_json(path)
-        unsealed(plan, needs_seal=False)
-        missing = {"study", "folder", "versions", "inputs", "labels", "chunk"} - plan.keys()
-    except DamagedError as error:
-        raise InputError(
-            f"{path}: is damaged ({error}); begin the sweep anew in another folder (--out)"
-        ) from error
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: can't be read as a sweep's ({error})") from error
-    if missing:
-        raise InputError(f"{path}: lacks {', '.join(sorted(missing))}: of an older version")
-    return plan
-
-
-def stored_study(out: Path) -> Study:
-    """The study that a folder's sweep is of. Raises InputError for a folder without one."""
-    return _study_of(out, read_plan(out))
-
-
-def stored_inputs(out: Path) -> dict[str, str]:
-    """Digests of the inputs of a folder's sweep, by kind and name."""
-    found: dict[str, str] = read_plan(out)["inputs"]
-    return found
-
-
-def _study_of(out: Path, plan: dict[str, Any]) -> Study:
-    try:
-        return Study.model_validate({**plan["study"], "folder": plan["folder"]})
-    except ValidationError as error:
-        told = describe(error, Study, plan["study"])
-        raise InputError(f"{out / 'study.json'}: study: {told}") from error
-
-
-def stored_accuracy(out: Path) -> Fidelity | None:
-    """Knobs that a folder's sweep sets, by a tolerance or a preset and by themselves; None where
-    there is no such sweep.
-    """
-    said = accuracy_of(read_plan(out)["study"]) if (out / "study.json").is_file() else {}
-    if TOLERANCE in said:
-        knobs = Tolerance.of(str(said[TOLERANCE])).knobs()
-    elif said.get(PRESET) in PRESETS:
-        knobs = PRESETS[said[PRESET]]
-    else:
-        return None
-    own = said.keys() - {TOLERANCE, PRESET}
-    named = {name.removeprefix(KNOB): said[name] for name in own}
-    if named.get("motion_tolerance") == NONE:
-        named["motion_tolerance"] = None
-    return knobs.with_(named)
