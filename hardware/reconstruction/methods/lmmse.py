@@ -14,12 +14,14 @@ The mean stays out of the prior: it is estimated by generalised least squares (u
 Cressie, Statistics for Spatial Data, 1993, section 3.4). For Hadamard rows it is simply measured.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from hardware.reconstruction.cosine import filtered
+from hardware.reconstruction.noise import is_full
 from hardware.reconstruction.prior import (
     cell_variance,
     mean_square,
@@ -60,18 +62,37 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     ratio = noise_variance / scale
     cells = plan.image(values, ratio)
     by_detail, by_noise = plan.errors(ratio)
-    independent, stands = plan.structure(values), activity(cells, sensing)
+    independent = plan.structure(values)
     unseen = plan.unseen
     error = np.maximum(by_detail - unseen, 0.0)  # what smoothing takes of that which is seen
-    error *= stands
+    error *= activity(cells, sensing, noise_variance * by_noise)
     finest = detail_scale(*independent, noise_variance, ratio)
     error *= finest * calibration(sensing) ** 2
-    if isinstance(plan, FullPlan):  # scenes finer than the prior lose more than it foresees
-        lost, foreseen = plan.smoothed_away(values, cells, noise_variance, ratio), error.mean()
+    if not isinstance(plan, MixedPlan) and is_full(sensing.count, sensing.n_cells):
+        # Scenes finer than the prior lose more than it foresees.
+        lost = smoothed_away(values, cells, noise_variance, plan.taken(ratio), sensing)
+        foreseen = error.mean()
         error *= max(lost / foreseen, 1.0) if foreseen else 1.0
+    stands = activity(cells, sensing)
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
     error += noise_variance * by_noise
     return cells, np.sqrt(error, out=error)
+
+
+def smoothed_away(
+    values: Array, cells: Array, noise_variance: float, taken: Array, sensing: Sensing
+) -> float:
+    """Mean square of the detail that smoothing took of the ``cells``, as measurements by Hadamard
+    rows tell it whatever the prior: what it took of them, less the noise in that (unbiased; Stein,
+    Ann. Stat. 9, 1981).
+
+    ``taken`` are its shares of independent measurements. The standard error of that difference is
+    added: detail lost in the scatter of the noise is not taken for none.
+    """
+    left = values - sensing.forward(cells)
+    squares = taken**2
+    noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
+    return (float(left @ left) - noise) / sensing.n_cells**2
 
 
 @lru_cache(maxsize=16)
@@ -116,6 +137,10 @@ class SubsetPlan:
         """Mean square errors by detail and by noise, see `WalshBlocks.errors`."""
         detail, noise = self.blocks.errors(ratio)
         return np.maximum(detail, 0.0), noise + self.noise_of_flat
+
+    def taken(self, ratio: float) -> Array:
+        """Share of each independent measurement that smoothing takes; 0 of the mean."""
+        return self.blocks.taken(ratio)
 
     @cached_property
     def unseen(self) -> Array:
@@ -193,18 +218,9 @@ class FullPlan:
         detail = mean_square(self.spectrum * (1 - weight) ** 2)
         return detail, (float(np.vdot(weight, weight)) + 1) / n**2
 
-    def smoothed_away(
-        self, values: Array, cells: Array, noise_variance: float, ratio: float
-    ) -> float:
-        """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
-        whatever the prior: what it took of the plain inverse, less the noise in that (unbiased;
-        Stein, Ann. Stat. 9, 1981).
-        """
-        taken = 1 - self._weight(ratio)
-        taken[0, 0] = 0.0  # the mean is kept
-        plain, n = self.sensing.adjoint(values) / self.sensing.n_cells, self.sensing.n_cells
-        noise = noise_variance / n * float(np.vdot(taken, taken))
-        return (float(np.sum((plain - cells) ** 2)) - noise) / n
+    def taken(self, ratio: float) -> Array:
+        """See `SubsetPlan.taken`."""
+        return (1 - self._weight(ratio)).ravel()[1:]  # the mean is kept
 
     @cached_property
     def unseen(self) -> Array:
