@@ -47,7 +47,7 @@ _DENSE = 2**17
 _NULL = 1e-9
 
 
-@method("lmmse", errors_in_95=errors_in_95)
+@method("lmmse", errors_in_95=errors_in_95, linear=True)
 def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Linear minimum mean-square error under a 1/f^2 prior.
 
