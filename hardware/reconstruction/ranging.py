@@ -21,7 +21,7 @@ from hardware.blas import one_blas_thread
 from hardware.described import Described
 from hardware.errors import InputError
 from hardware.patterns import RasterScan
-from hardware.reconstruction.depth import C_M_PER_S, depth
+from hardware.reconstruction.depth import depth
 from hardware.reconstruction.gating import Echo, delay_weights, echo
 from hardware.reconstruction.imaging import LEVEL_UNKNOWN
 from hardware.reconstruction.measurements import measurements, with_level
@@ -32,6 +32,7 @@ from hardware.reconstruction.scanning import gates_tell_background, images_by_sh
 from hardware.reconstruction.sensing import Mixing, Sensing
 from hardware.reconstruction.shutter_images import ShutterErrors, shutter_images
 from hardware.records import Flag, Shutter, SpiRecord
+from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from spi_records import record_of
 
 from hardware import PatternSet, SpiRecord
 from hardware.reconstruction import range_image
-from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.shutter_images import ShutterErrors
 from hardware.records import Shutter
+from hardware.waveform import C_M_PER_S
 
 SIDE = 32
 LIGHT_E = 1e5  # of a cell, mean of all phases
