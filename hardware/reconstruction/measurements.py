@@ -13,6 +13,7 @@ from hardware.reconstruction.noise import (
     most_noise,
     most_scatter,
     noise_beside_detail,
+    noise_of_repetitions,
     noise_of_sums,
 )
 from hardware.reconstruction.scanning import scanned_cells
@@ -105,9 +106,10 @@ def measurements(record: SpiRecord) -> Measurements:
     (`MOST_OVER_PHOTONS`); what is more stays in the image.
     The finest patterns of a subset hold detail whose amount is unknown: its noise is never told.
 
-    A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
-    patterns that are shown once do not tell noise from detail: they are smoothed by the photons'
-    own noise, and all their scatter is the most that noise can be.
+    A user's own plain set: twice (lit) less the mean of all, which takes the background out; where
+    patterns are shown again, their scatter about their means is the noise. Own patterns that are
+    shown once do not tell noise from detail: they are smoothed by the photons' own noise, and all
+    their scatter is the most that noise can be.
 
     A raster scan: the Hadamard transform of its cells (`hardware.reconstruction.scanning`), which
     shows nothing twice either.
@@ -130,6 +132,10 @@ def measurements(record: SpiRecord) -> Measurements:
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.minimum(np.maximum(photons, rounding), scatter)
         level = _most_level(np.abs(electrons), patterns)
+        again = noise_of_repetitions(values, patterns) if patterns.mode == "plain" else None
+        if again is not None:
+            noise = most = np.maximum(again, rounding)
+            return Measurements(values, noise, most, np.ones(len(noise), np.bool_), level, 0 * most)
         return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level, 0 * most)
     assert isinstance(patterns, PatternSet)  # a scan is `_of_scan`
     finest = finest_patterns(patterns)
