@@ -39,10 +39,13 @@ from hardware.reconstruction.standard_error import (
     tells_detail,
     unseen_detail,
 )
+from hardware.reconstruction.unseen import unseen_of
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 #: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
 _DENSE = 2**17
+#: Largest noise in one direction of the plain inverse over the mean, up to which it is compared.
+_UNLIKE = 8.0
 #: Share of the greatest eigenvalue below which one is roundoff.
 _NULL = 1e-9
 
@@ -68,31 +71,33 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     error *= activity(cells, sensing, noise_variance * by_noise)
     finest = detail_scale(*independent, noise_variance, ratio)
     error *= finest * calibration(sensing) ** 2
-    if not isinstance(plan, MixedPlan) and is_full(sensing.count, sensing.n_cells):
-        # Scenes finer than the prior lose more than it foresees.
-        lost = smoothed_away(values, cells, noise_variance, plan.taken(ratio), sensing)
-        foreseen = error.mean()
-        error *= max(lost / foreseen, 1.0) if foreseen else 1.0
+    lost, foreseen = 0.0, float(error.mean())  # scenes finer than the prior lose more than that
+    if isinstance(plan, MixedPlan):
+        if (plain := _plain_inverse(sensing)) is not None:
+            taken = sensing.pseudo_inverse @ values - cells
+            lost = smoothed_away(taken, plan.squares_taken(ratio, plain), noise_variance)
+    elif is_full(sensing.count, sensing.n_cells):
+        taken = (values - sensing.forward(cells)) / math.sqrt(sensing.n_cells)
+        squares = plan.taken(ratio) ** 2 / sensing.n_cells
+        lost = smoothed_away(taken, squares, noise_variance)
+    error *= max(lost / foreseen, 1.0) if foreseen else 1.0
     stands = activity(cells, sensing)
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
     error += noise_variance * by_noise
     return cells, np.sqrt(error, out=error)
 
 
-def smoothed_away(
-    values: Array, cells: Array, noise_variance: float, taken: Array, sensing: Sensing
-) -> float:
-    """Mean square of the detail that smoothing took of the ``cells``, as measurements by Hadamard
-    rows tell it whatever the prior: what it took of them, less the noise in that (unbiased; Stein,
-    Ann. Stat. 9, 1981).
+def smoothed_away(taken: Array, squares: Array, noise_variance: float) -> float:
+    """Mean square of the detail that smoothing took, as measurements tell it whatever the prior:
+    ``taken``, what it took of them or of the cells of their plain inverse, less the noise in that
+    (unbiased; Stein, Ann. Stat. 9, 1981).
 
-    ``taken`` are its shares of independent measurements. The standard error of that difference is
-    added: detail lost in the scatter of the noise is not taken for none.
+    ``squares`` (k,): the sum of squares that it takes of each independent measurement, for unit
+    noise. The standard error of that difference is added: detail lost in the scatter of the noise
+    is not taken for none.
     """
-    left = values - sensing.forward(cells)
-    squares = taken**2
     noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
-    return (float(left @ left) - noise) / sensing.n_cells**2
+    return (float(taken @ taken) - noise) / len(taken)
 
 
 @lru_cache(maxsize=16)
@@ -294,6 +299,17 @@ class MixedPlan:
             noise += each * float((weight * flat) ** 2 @ np.ones_like(weight))
         return np.maximum(detail, 0.0), noise
 
+    def squares_taken(self, ratio: float, plain: Array) -> Array:
+        """Squares of what smoothing takes of the plain inverse ``plain`` (n_cells, count) of each
+        eigenvector, (count,).
+        """
+        weight = 1 / (self.eigenvalues + max(ratio, self.floor))
+        flat = weight * (self.eigenvectors.T @ self.flat_image)
+        taken = plain - self.cells * weight
+        if precision := float(flat @ (self.eigenvectors.T @ self.flat_image)):  # the mean is kept
+            taken -= np.outer((1 - self.cells @ flat) / precision, flat)
+        return np.asarray((taken**2).sum(axis=0))
+
     @cached_property
     def unseen(self) -> Array:
         """See `SubsetPlan.unseen`."""
@@ -314,6 +330,20 @@ class MixedPlan:
         """See `SubsetPlan.noise_of_flat`."""
         power = float(self.flat_image @ self.flat_image)
         return 1 / power if power else 0.0
+
+
+@lru_cache(maxsize=4)
+def _plain_inverse(sensing: Sensing) -> Array | None:
+    """That of the eigenvectors of a `MixedPlan`, (n_cells, count), where all cells are seen. None
+    also where few directions hold most of its noise, which would hide what smoothing takes of all
+    others.
+    """
+    plan = lmmse_plan(sensing)
+    if not isinstance(plan, MixedPlan) or unseen_of(sensing).count:
+        return None
+    inverse = sensing.pseudo_inverse
+    noise = np.linalg.eigvalsh(inverse @ inverse.T)
+    return inverse @ plan.eigenvectors if noise[-1] < _UNLIKE * noise.mean() else None
 
 
 def mixed_plan(sensing: Sensing) -> MixedPlan:
