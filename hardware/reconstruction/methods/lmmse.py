@@ -71,15 +71,8 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     error *= activity(cells, sensing, noise_variance * by_noise)
     finest = detail_scale(*independent, noise_variance, ratio)
     error *= finest * calibration(sensing) ** 2
-    lost, foreseen = 0.0, float(error.mean())  # scenes finer than the prior lose more than that
-    if isinstance(plan, MixedPlan):
-        if (plain := _plain_inverse(sensing)) is not None:
-            taken = sensing.pseudo_inverse @ values - cells
-            lost = smoothed_away(taken, plan.squares_taken(ratio, plain), noise_variance)
-    elif is_full(sensing.count, sensing.n_cells):
-        taken = (values - sensing.forward(cells)) / math.sqrt(sensing.n_cells)
-        squares = plan.taken(ratio) ** 2 / sensing.n_cells
-        lost = smoothed_away(taken, squares, noise_variance)
+    lost = smoothed_away(plan, values, cells, noise_variance, ratio)
+    foreseen = float(error.mean())  # scenes finer than the prior lose more
     error *= max(lost / foreseen, 1.0) if foreseen else 1.0
     stands = activity(cells, sensing)
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
@@ -87,17 +80,32 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     return cells, np.sqrt(error, out=error)
 
 
-def smoothed_away(taken: Array, squares: Array, noise_variance: float) -> float:
-    """Mean square of the detail that smoothing took, as measurements tell it whatever the prior:
-    ``taken``, what it took of them or of the cells of their plain inverse, less the noise in that
-    (unbiased; Stein, Ann. Stat. 9, 1981).
-
-    ``squares`` (k,): the sum of squares that it takes of each independent measurement, for unit
-    noise. The standard error of that difference is added: detail lost in the scatter of the noise
-    is not taken for none.
+def smoothed_away(
+    plan: "MixedPlan | SubsetPlan | FullPlan",
+    values: Array,
+    cells: Array,
+    noise_variance: float,
+    ratio: float,
+) -> float:
+    """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
+    whatever the prior: what it took of their plain inverse, less the noise in that (unbiased;
+    Stein, Ann. Stat. 9, 1981), with the standard error of that difference, as detail lost in the
+    scatter of the noise is not none. 0 where patterns tell no plain inverse.
     """
+    sensing = plan.sensing
+    if isinstance(plan, MixedPlan):
+        plain = _plain_inverse(sensing)
+        if plain is None:
+            return 0.0
+        taken = sensing.pseudo_inverse @ values - cells
+        squares = plan.squares_taken(ratio, plain)
+    elif is_full(sensing.count, sensing.n_cells):  # rows of length n, as the cells' own over it
+        taken = (values - sensing.forward(cells)) / math.sqrt(sensing.n_cells)
+        squares = plan.taken(ratio) ** 2 / sensing.n_cells
+    else:
+        return 0.0
     noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
-    return (float(taken @ taken) - noise) / len(taken)
+    return (float(taken @ taken) - noise) / sensing.n_cells
 
 
 @lru_cache(maxsize=16)
@@ -259,6 +267,7 @@ class MixedPlan:
     explain, that measure anything; ``variances`` (k,) those measurements' for a prior of scale 1.
     """
 
+    sensing: Sensing
     eigenvectors: Array
     eigenvalues: Array
     cells: Array
@@ -362,6 +371,7 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
     told = variances > max(_NULL * float(variances[-1]), roundoff)
     trace = float(np.trace(gram))
     return MixedPlan(
+        sensing=sensing,
         eigenvectors=eigenvectors,
         eigenvalues=np.maximum(eigenvalues, 0.0),
         cells=cells,
