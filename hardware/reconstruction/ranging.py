@@ -296,9 +296,10 @@ def _growth(phasors: NDArray[np.complex128], frequencies: Array, across: Array) 
     independent errors; ``across`` (n_frequencies, n_components, n).
     """
     per_m = (np.abs(phasors) * frequencies[:, None])[:, None]
-    noise = np.maximum((across**2).sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    alone = (per_m**2 / noise).sum(axis=(0, 1))
-    tied = ((per_m * across / noise).sum(axis=0) ** 2).sum(axis=0)
+    noise = (across**2).sum(axis=1, keepdims=True)
+    weight = np.divide(per_m, noise, out=np.zeros_like(per_m), where=noise > 0)
+    alone = (weight * per_m).sum(axis=(0, 1))
+    tied = ((weight * across).sum(axis=0) ** 2).sum(axis=0)
     return np.sqrt(np.divide(tied, alone, out=np.ones_like(alone), where=tied > 0))
 
 

@@ -53,7 +53,7 @@ def unwrapped(
         return _likelihood(z, noise[:, cells], per_m, np.pi / per_m[anchor], n_nodes)
 
     log, spread = np.full(mean.shape, -np.inf), np.full(mean.shape, longest_m)
-    rows, cells = np.nonzero(misfit < misfit.min(axis=0) + 2 * _RULED_OUT)
+    rows, cells = np.nonzero(misfit <= misfit.min(axis=0) + 2 * _RULED_OUT)
     for first in range(0, len(cells), _AT_ONCE):
         some = rows[first : first + _AT_ONCE], cells[first : first + _AT_ONCE]
         log[some], spread[some] = likelihood(some, _NODES)

@@ -116,6 +116,13 @@ def test_a_phase_that_no_distance_up_to_the_longest_gives_is_not_trusted() -> No
     assert found.confidence[1] < 1e-6
 
 
+def test_frequencies_without_noise_that_contradict_each_other_are_not_trusted() -> None:
+    """No distance fits 0.1 and 2.4 rad at 10 and 11 MHz: misfits of 1e24, and no confidence."""
+    found = depth(np.exp(-1j * np.array([[0.1], [2.4]])), [10e6, 11e6], 0.0)
+    assert np.isfinite(found.distance_m).all()
+    assert found.confidence[0] < 1e-6
+
+
 def test_a_shorter_range_rules_wrong_wraps_out() -> None:
     rng = np.random.default_rng(3)
     n, frequencies, ratio = 5000, [10e6, 11e6], 0.2

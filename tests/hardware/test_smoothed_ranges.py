@@ -115,3 +115,22 @@ def test_independent_errors_add_by_their_squares() -> None:
     tied = ShutterErrors.independent(errors)
     assert np.linalg.norm(tied.of_sum(np.ones((2, 1)))) == pytest.approx(5.0)
     np.testing.assert_allclose(tied.of_shutters[:, 0], [3.0, 4.0])
+
+
+def test_a_single_pattern_tells_no_error_and_no_confidence() -> None:
+    """Its noise is unknown: no warning of NumPy's, and nothing is claimed."""
+    patterns, phases = PatternSet(4, 4, 1), PHASES["two frequencies"]
+    light = [patterns.signal(image) for image in phase_images(np.full((4, 4), 3.0), phases)]
+    record = record_of(np.stack(light, axis=1).ravel()[:2], patterns)
+    n = 2 * len(phases)
+    record = replace(
+        record,
+        counts=np.rint(np.stack(light, axis=1)).astype(np.int32).reshape(n, 1),
+        device_time_ns=np.arange(n),
+        sequence=np.arange(n, dtype=np.uint32),
+        flags=np.zeros(n, np.uint8),
+        shutters=tuple(Shutter(*one) for one in phases),
+    )
+    found = range_image(record)
+    assert np.isinf(found.standard_error_m).all()
+    assert not found.confidence.any()
