@@ -191,6 +191,30 @@ def _closer(
     return mean, spread, best
 
 
+def delay_weights(echoes: Echo, errors: Array, gates: Array, pulse_width_s: float) -> Array:
+    """Weights of the gates' images, (n_gates, n_cells), in the delay by least squares over
+    amplitude and delay, to a factor that is common to a cell's; 0 where no gate that holds part of
+    the echo has a slope.
+    """
+    here, slope = _responses(echoes.delay_s, gates, pulse_width_s)
+    weight = 1 / np.maximum(errors, _LEAST * errors.max(initial=0.0) or 1.0) ** 2
+    own, both = (weight * here**2).sum(axis=0), (weight * here * slope).sum(axis=0)
+    steady = np.divide(both, own, out=np.zeros_like(own), where=own > 0)  # amplitude's part
+    moves = weight * (slope - here * steady)
+    largest = np.abs(moves).max(axis=0)
+    return np.divide(moves, largest, out=np.zeros_like(moves), where=largest > 0)
+
+
+def _responses(delay_s: Array, gates: Array, pulse_width_s: float) -> tuple[Array, Array]:
+    """Shares of the gates, and their slopes, 1/s, for beginnings of the echo."""
+    step = 1e-4 * pulse_width_s
+    late, early, here = (
+        np.stack([share(delay_s + shift, d, g, pulse_width_s) for d, g in gates])
+        for shift in (step, -step, 0.0)
+    )
+    return here, (late - early) / (2 * step)
+
+
 def bounds(
     amplitude: Array,
     delay_s: Array,
@@ -208,12 +232,8 @@ def bounds(
     same with R and A R' exchanged (Kay, Fundamentals of Statistical Signal Processing I, 1993,
     section 3.7). Where no response has a slope the delay's bound is infinite.
     """
-    step = 1e-4 * pulse_width_s
-    late, early, here = (
-        np.stack([share(delay_s + shift, d, g, pulse_width_s) for d, g in gates])
-        for shift in (step, -step, 0.0)
-    )
-    slope, weight = (late - early) / (2 * step), 1 / variance
+    here, slope = _responses(delay_s, gates, pulse_width_s)
+    weight = 1 / variance
     if background:
         errors = np.sqrt(variance)
         here, slope = here - _mean(here, errors), slope - _mean(slope, errors)

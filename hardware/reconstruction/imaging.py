@@ -189,16 +189,8 @@ def reconstruct(
     if moving:
         cells, error, told_of_motion = _compensated(solve, moving, measured, sensing)
     else:
-        cells, error = _solved(solve, measured.values, variance, sensing)
-        if error is not None and (most > variance).any():
-            of_most = _solved(solve, measured.values, most, sensing)[1]
-            error = _of_unsmoothed(error, of_most, measured, sensing)
-    if error is not None:
-        error = np.hypot(error, _error_of_the_constant(measured.constant_variance, sensing))
-    if not sensing.measures_level and error is not None:
-        error = np.hypot(error, measured.most_level)
-    if error is not None:
-        error = np.where(np.isnan(most), np.nan, error)
+        cells, error = _at_rest(solve, measured, sensing)
+    error = _of_all_noise(error, measured, sensing)
     shape, told = (-1, *sensing.shape), sensing.measured[:, None]
     return Reconstruction(
         method=solve.name,
@@ -225,6 +217,36 @@ def reconstruct(
         ),
         motion=moving.motion if moving else None,
     )
+
+
+def solved_image(
+    solve: Method, measured: Measurements, sensing: Sensing
+) -> tuple[Array, Array | None]:
+    """Cells of a scene at rest and their standard errors, which hold the most noise that there can
+    be, ``(n_cells, n_images)``.
+    """
+    cells, error = _at_rest(solve, measured, sensing)
+    return cells, _of_all_noise(error, measured, sensing)
+
+
+def _at_rest(solve: Method, measured: Measurements, sensing: Sensing) -> tuple[Array, Array | None]:
+    """`solved_image` with what noise there is in each measurement alone."""
+    variance, most = measured.noise_variance, measured.most_noise_variance
+    cells, error = _solved(solve, measured.values, variance, sensing)
+    if error is not None and (most > variance).any():
+        of_most = _solved(solve, measured.values, most, sensing)[1]
+        error = _of_unsmoothed(error, of_most, measured, sensing)
+    return cells, error
+
+
+def _of_all_noise(error: Array | None, measured: Measurements, sensing: Sensing) -> Array | None:
+    """Standard errors with those of the constant and of the level, NaN where noise is unknown."""
+    if error is None:
+        return None
+    error = np.hypot(error, _error_of_the_constant(measured.constant_variance, sensing))
+    if not sensing.measures_level:
+        error = np.hypot(error, measured.most_level)
+    return np.where(np.isnan(measured.most_noise_variance), np.nan, error)
 
 
 def _solved(

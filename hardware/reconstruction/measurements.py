@@ -13,6 +13,7 @@ from hardware.reconstruction.noise import (
     most_noise,
     most_scatter,
     noise_beside_detail,
+    noise_of_repetitions,
     noise_of_sums,
 )
 from hardware.reconstruction.scanning import scanned_cells
@@ -105,9 +106,10 @@ def measurements(record: SpiRecord) -> Measurements:
     (`MOST_OVER_PHOTONS`); what is more stays in the image.
     The finest patterns of a subset hold detail whose amount is unknown: its noise is never told.
 
-    A user's own plain set: twice (lit) less the mean of all, which takes the background out. Own
-    patterns that are shown once do not tell noise from detail: they are smoothed by the photons'
-    own noise, and all their scatter is the most that noise can be.
+    A user's own plain set: twice (lit) less the mean of all, which takes the background out; where
+    patterns are shown again, their scatter about their means is the noise. Own patterns that are
+    shown once do not tell noise from detail: they are smoothed by the photons' own noise, and all
+    their scatter is the most that noise can be.
 
     A raster scan: the Hadamard transform of its cells (`hardware.reconstruction.scanning`), which
     shows nothing twice either.
@@ -119,8 +121,9 @@ def measurements(record: SpiRecord) -> Measurements:
     if patterns.mode in ("differential", "complementary"):
         lit, complement = pairs(electrons, patterns)
         noise = noise_of_sums(lit + complement, in_turn=patterns.mode == "differential")
-        rounding = 2 * record.electrons_per_count**2 / 12
-        most = np.maximum(noise, rounding) if len(lit) > 1 else np.full_like(noise, np.nan)
+        alike = _alike(lit) & _alike(complement)
+        of_counts = np.where(alike, 3, 1) * 2 * record.electrons_per_count**2 / 12
+        most = np.maximum(noise, of_counts) if len(lit) > 1 else np.full_like(noise, np.nan)
         level = np.abs((lit + complement).mean(axis=0)) / patterns.n_cells
         return Measurements(values, noise, most, np.isfinite(most), level, 0 * most)
     rounding = (2 * record.electrons_per_count) ** 2 / 12
@@ -130,6 +133,10 @@ def measurements(record: SpiRecord) -> Measurements:
         photons = 4 * np.maximum(electrons.mean(axis=0), 0.0)
         noise = np.minimum(np.maximum(photons, rounding), scatter)
         level = _most_level(np.abs(electrons), patterns)
+        again = noise_of_repetitions(values, patterns) if patterns.mode == "plain" else None
+        if again is not None:
+            noise = most = np.maximum(again, rounding)
+            return Measurements(values, noise, most, np.ones(len(noise), np.bool_), level, 0 * most)
         return Measurements(values, noise, most, np.zeros(len(noise), np.bool_), level, 0 * most)
     assert isinstance(patterns, PatternSet)  # a scan is `_of_scan`
     finest = finest_patterns(patterns)
@@ -144,10 +151,19 @@ def measurements(record: SpiRecord) -> Measurements:
     noise = np.minimum(np.maximum(noise, rounding), scatter)
     most = np.maximum(np.maximum(most_noise(values, patterns), noise), rounding)
     level = 2 * np.abs(electrons).max(axis=0) / patterns.n_cells
+    alike = (scatter < rounding) | _alike(electrons)
+    most = np.where(alike, np.maximum(most, 3 * rounding), most)
     of_constant = most if patterns.mode == "reference" else of_finest
-    # Then rounding is one error that all of them share, beside that of what they are referred to.
-    of_constant = np.where(scatter < rounding, 3 * of_constant, of_constant)
+    of_constant = np.where(alike, 3 * of_constant, of_constant)  # all of them share one
     return Measurements(values, noise, most, told, level, of_constant)
+
+
+def _alike(electrons: Array) -> NDArray[np.bool_]:
+    """Whether counts, as ``electrons`` (n, n_images), agree but for 1 in 12, ``(n_images,)``: they
+    scatter less than rounding would by itself, and its errors are not spread evenly. Each is half a
+    count at most, 3 times the variance.
+    """
+    return np.asarray(np.mean(electrons != np.median(electrons, axis=0), axis=0) < 1 / 12)
 
 
 def _most_level(light: Array, patterns: OwnPatterns) -> Array:

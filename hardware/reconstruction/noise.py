@@ -132,6 +132,28 @@ def scatter_of_flat_cells(values: Array, patterns: PatternSet) -> Array:
     return np.asarray(few**2 * median**2 / n_blocks)
 
 
+def noise_of_repetitions(values: Array, patterns: OwnPatterns) -> Array | None:
+    """Variance of the noise in values ``(count, n_images)`` of patterns some of which are shown
+    again, ``(n_images,)``: that about the mean of each. None of fewer than 8 repetitions. What is
+    slower than they follow each other is not in it.
+    """
+    group, times = _repetitions(patterns)
+    if len(group) - len(times) < _LEAST_FINEST:
+        return None
+    sums = np.zeros((len(times), values.shape[1]))
+    np.add.at(sums, group, values)
+    off = values - (sums / times[:, None])[group]
+    return np.asarray((off**2).sum(axis=0) / (len(group) - len(times)))
+
+
+@lru_cache(maxsize=16)
+def _repetitions(patterns: OwnPatterns) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which of the different patterns each one is, and how often each of these is shown."""
+    levels = patterns.levels.reshape(patterns.count, -1)
+    _, group, times = np.unique(levels, axis=0, return_inverse=True, return_counts=True)
+    return group.ravel(), times
+
+
 def freedom(patterns: Patterns) -> float:
     """Degrees of freedom with which a record tells the most noise that there can be."""
     if patterns.mode in ("differential", "complementary") and not isinstance(patterns, RasterScan):
@@ -139,7 +161,8 @@ def freedom(patterns: Patterns) -> float:
         in_turn = patterns.mode == "differential" and patterns.count > 2 * _LAG
         return found / _OF_IN_TURN if in_turn else found
     if isinstance(patterns, OwnPatterns):
-        return patterns.count - 1.0
+        again = patterns.count - len(_repetitions(patterns)[1]) if patterns.mode == "plain" else 0
+        return float(again) if again >= _LEAST_FINEST else patterns.count - 1.0
     whole = patterns
     if not isinstance(whole, PatternSet):  # a scan is transformed whole
         whole = PatternSet(whole.rows, whole.columns, whole.n_cells, "natural", "plain")

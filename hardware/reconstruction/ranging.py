@@ -1,9 +1,11 @@
 """Distance images from a record whose patterns were shown with several shutters.
 
-Phase shutters of a lock-in measurement: the image of each is reconstructed by itself, by any
-method. Cell by cell those of one modulation frequency are b + Re(z exp(j phase)); least squares
-over the phases gives the phasor z, the phasors of all frequencies the distance
-(`hardware.reconstruction.depth`).
+The image of each shutter is reconstructed by any method, and by linear ones with what its error has
+in common with the others' (`hardware.reconstruction.shutter_images`).
+
+Phase shutters of a lock-in measurement: cell by cell the images of one modulation frequency are
+b + Re(z exp(j phase)); least squares over the phases gives the phasor z, the phasors of all
+frequencies the distance (`hardware.reconstruction.depth`).
 
 Gates: each gate's image is a slice of the scene, as thick as gate and pulse together; what
 neighbouring ones hold of a cell tells where in them it lies (`hardware.reconstruction.gating`).
@@ -19,16 +21,18 @@ from hardware.blas import one_blas_thread
 from hardware.described import Described
 from hardware.errors import InputError
 from hardware.patterns import RasterScan
-from hardware.reconstruction.depth import C_M_PER_S, depth
-from hardware.reconstruction.gating import Echo, echo
-from hardware.reconstruction.imaging import LEVEL_UNKNOWN, Reconstruction, reconstruct
+from hardware.reconstruction.depth import depth
+from hardware.reconstruction.gating import Echo, delay_weights, echo
+from hardware.reconstruction.imaging import LEVEL_UNKNOWN
 from hardware.reconstruction.measurements import measurements, with_level
 from hardware.reconstruction.negative_light import negative_light
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Method, Solve
 from hardware.reconstruction.scanning import gates_tell_background, images_by_shutter
-from hardware.reconstruction.sensing import Mixing
+from hardware.reconstruction.sensing import Mixing, Sensing
+from hardware.reconstruction.shutter_images import ShutterErrors, shutter_images
 from hardware.records import Flag, Shutter, SpiRecord
+from hardware.waveform import C_M_PER_S
 
 Array = NDArray[np.float64]
 
@@ -55,7 +59,9 @@ class RangeImage(Described):
     patterns do not measure have NaN for both.
     Each cell is taken to hold one surface: of several within two gates, or by one frequency,
     the mean by light is told, and nothing contradicts it.
-    ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right;
+    ``standard_error_m`` holds if the unwrapping, or the choice of the gate, is right. It includes
+    by how much ``lmmse`` draws the distances of neighbours together, as of a post and what stands
+    behind it; of methods that are not linear the errors of shutters count as independent.
     ``confidence`` is the probability that it is, all distances up to ``longest_m`` being alike
     before. Farther ones repeat, or no gate is open; of phases, what lies nearer to 0 or to
     ``longest_m`` than its error may belong to the other end, and confidence falls to one half.
@@ -111,14 +117,13 @@ def range_image(
 
 def _of_patterns(record: SpiRecord, solve: Method, mixing: Mixing | None) -> RangeImage:
     """From the image of each shutter."""
-    by_shutter = [reconstruct(part, solve, mixing=mixing) for part in record.by_shutter]
-    images = np.stack([one.image for one in by_shutter])
-    errors = np.stack([_error(one, record.patterns.count) for one in by_shutter])
+    sensing = Sensing(with_level(record.received).patterns, mixing)
+    images, errors = shutter_images(record, solve, mixing)
     measured = np.isfinite(images[0])
-    unsure = measured & np.isnan(errors).any(axis=0)
-    images, errors = np.nan_to_num(images), np.nan_to_num(errors)  # no light: no distance
-    ranges = distances(record, images, errors, solve.name)
-    level = tuple(warning for warning in by_shutter[0].warnings if warning == LEVEL_UNKNOWN)
+    unsure = measured & np.isnan(errors.components).any(axis=0).reshape(measured.shape)
+    known = replace(errors, components=np.nan_to_num(errors.components))
+    ranges = _ranges(record, np.nan_to_num(images), known, solve.name)  # no light: no distance
+    level = () if sensing.measures_level else (LEVEL_UNKNOWN,)
     saturated: NDArray[np.bool_] = np.any(_saturated(record), axis=0)
     saturated = saturated[:, None, None] & np.ones_like(measured)
     ranges = replace(
@@ -210,8 +215,13 @@ def _reach_m(record: SpiRecord) -> float:
 
 def distances(record: SpiRecord, images: Array, errors: Array, method: str = "") -> RangeImage:
     """`range_image` of images that are at hand: electrons by shutter and their standard errors,
-    (n_shutters, n_detectors, rows, columns), whatever the record's own counts are.
+    independent of each other, (n_shutters, n_detectors, rows, columns), whatever the record's own
+    counts are.
     """
+    return _ranges(record, images, ShutterErrors.independent(errors), method)
+
+
+def _ranges(record: SpiRecord, images: Array, errors: ShutterErrors, method: str) -> RangeImage:
     if all(shutter.modulated for shutter in record.shutters):
         return _from_phases(method, images, errors, list(_phase_systems(record.shutters)))
     return _from_gates(method, images, errors, record)
@@ -231,18 +241,6 @@ def _marked(record: SpiRecord, at_rail: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """
     flagged = (record.flags & Flag.SATURATED) != 0
     return at_rail | (flagged & ~at_rail.any(axis=1))[:, None]
-
-
-def _error(reconstruction: Reconstruction, count: int) -> Array:
-    """Standard error of each cell: the method's own, else what noise does to the plain inverse."""
-    if reconstruction.standard_error is not None:
-        return reconstruction.standard_error
-    n_cells = reconstruction.image[0].size
-    each = np.hypot(
-        reconstruction.most_noise_electrons * np.sqrt(count) / n_cells,
-        reconstruction.level_error_electrons,
-    )
-    return np.broadcast_to(each[:, None, None], reconstruction.image.shape)
 
 
 def _phase_systems(
@@ -268,31 +266,47 @@ def _phase_systems(
 def _from_phases(
     method: str,
     images: Array,
-    errors: Array,
+    errors: ShutterErrors,
     systems: list[tuple[float, NDArray[np.intp], Array]],
 ) -> RangeImage:
-    shape = images.shape[1:]
-    phasors, noise = [], []
+    shape, flat = images.shape[1:], images.reshape(len(images), -1)
+    phasors, across = [], []
     for _, phases, solve in systems:
-        real, imaginary = np.tensordot(solve, images[phases], 1)
-        phasors.append((real + 1j * imaginary).ravel())
-        # Of both parts alike: their mean variance.
-        noise.append(np.sqrt(np.tensordot((solve**2).mean(axis=0), errors[phases] ** 2, 1)).ravel())
-    depths = depth(np.stack(phasors), [system[0] for system in systems], np.stack(noise))
+        real, imaginary = solve @ flat[phases]
+        size = np.maximum(np.hypot(real, imaginary), np.finfo(float).tiny)
+        weights = np.zeros_like(flat)  # of the part across the phasor, which turns it
+        weights[phases] = np.outer(solve[1], real / size) - np.outer(solve[0], imaginary / size)
+        phasors.append(real + 1j * imaginary)
+        across.append(errors.of_sum(weights))
+    z, frequencies, off = np.stack(phasors), [system[0] for system in systems], np.stack(across)
+    depths = depth(z, frequencies, np.sqrt((off**2).sum(axis=1)))
+    growth = _growth(z, np.array(frequencies), off)
     return RangeImage(
         method=method,
         amplitude=depths.amplitude.reshape(shape),
         distance_m=depths.distance_m.reshape(shape),
-        standard_error_m=depths.standard_error_m.reshape(shape),
+        standard_error_m=(growth * depths.standard_error_m).reshape(shape),
         confidence=depths.confidence.reshape(shape),
         longest_m=depths.longest_m,
     )
 
 
-def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) -> RangeImage:
+def _growth(phasors: NDArray[np.complex128], frequencies: Array, across: Array) -> Array:
+    """Error of the mean distance of several frequencies, weighted by precision, over that of
+    independent errors; ``across`` (n_frequencies, n_components, n).
+    """
+    per_m = (np.abs(phasors) * frequencies[:, None])[:, None]
+    noise = (across**2).sum(axis=1, keepdims=True)
+    weight = np.divide(per_m, noise, out=np.zeros_like(per_m), where=noise > 0)
+    alone = (weight * per_m).sum(axis=(0, 1))
+    tied = ((weight * across).sum(axis=0) ** 2).sum(axis=0)
+    return np.sqrt(np.divide(tied, alone, out=np.ones_like(alone), where=tied > 0))
+
+
+def _from_gates(method: str, images: Array, errors: ShutterErrors, record: SpiRecord) -> RangeImage:
+    shape, flat = images.shape[1:], (images.reshape(len(images), -1), errors.of_shutters)
     gates = np.array([(one.gate_delay_s, one.gate_width_s) for one in record.shutters])
     stated = record.pulse_width_s > 0
-    flat = images.reshape(len(images), -1), errors.reshape(len(images), -1)
     scan = isinstance(record.patterns, RasterScan) and record.patterns.mode == "plain"
     over_background = scan and gates_tell_background(record)
     echoes = (
@@ -300,9 +314,15 @@ def _from_gates(method: str, images: Array, errors: Array, record: SpiRecord) ->
         if stated
         else _brightest(*flat, gates)
     )
+    if stated:  # that no error depends on another's was taken for granted
+        moves = delay_weights(echoes, flat[1], gates, record.pulse_width_s)
+        alone = np.sqrt(((moves * flat[1]) ** 2).sum(axis=0))
+        tied = np.sqrt((errors.of_sum(moves) ** 2).sum(axis=0))
+        growth = np.divide(tied, alone, out=np.ones_like(alone), where=alone > 0)
+        echoes = replace(echoes, error_s=growth * echoes.error_s)
     lit = echoes.amplitude > 0
     distance, error, confidence, amplitude = (
-        values.reshape(images.shape[1:])
+        values.reshape(shape)
         for values in (
             np.where(lit, C_M_PER_S / 2 * echoes.delay_s, np.nan),
             np.where(lit, C_M_PER_S / 2 * echoes.error_s, np.inf),

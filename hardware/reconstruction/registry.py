@@ -38,7 +38,9 @@ class Method:
     takes all detectors at once: (count, n_detectors), (n_detectors,); gives (n_cells,
     n_detectors). A method that needs Hadamard rows on a clean grid of cells says ``grid_only``; one
     that takes longer than a frame, ``slow``. ``errors_in_95`` is how many of its standard errors
-    hold 95 % of all cells: 1.96 of normal errors.
+    hold 95 % of all cells: 1.96 of normal errors. A ``linear`` method states errors and takes sums
+    of measurements as any: images of shutters are made of such
+    (`hardware.reconstruction.shutter_images`).
     """
 
     name: str
@@ -48,6 +50,7 @@ class Method:
     grid_only: bool
     slow: bool
     errors_in_95: Callable[[Sensing], float]
+    linear: bool = False
 
     def __call__(
         self,
@@ -89,6 +92,7 @@ def method(
     grid_only: bool = False,
     slow: bool = False,
     errors_in_95: Callable[[Sensing], float] = normal_errors,
+    linear: bool = False,
 ) -> Callable[
     [Callable[..., tuple[Array, Array | None]]], Callable[..., tuple[Array, Array | None]]
 ]:
@@ -100,7 +104,7 @@ def method(
         if name in METHODS:
             raise InputError(f"method: {name!r} is registered twice")
         summary = (solve.__doc__ or "").strip().split("\n")[0]
-        METHODS[name] = Method(name, summary, solve, joint, grid_only, slow, errors_in_95)
+        METHODS[name] = Method(name, summary, solve, joint, grid_only, slow, errors_in_95, linear)
         return solve
 
     return register

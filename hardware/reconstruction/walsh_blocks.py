@@ -102,6 +102,12 @@ class WalshBlocks:
             w[b.place] = linalg.cho_solve(factor, values[b.place], check_finite=False)
         return w
 
+    def taken(self, ratio: float) -> Array:
+        """Share of each independent measurement that smoothing takes, (m,), without the mean."""
+        ratio = max(ratio, self._floor)
+        parts = [ratio / (block.eigenvalues + ratio) for block in self.blocks]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
     def errors(self, ratio: float) -> tuple[Array, float]:
         """Mean square error of each cell by detail, ``(n_cells,)``, per variance of the prior; and
         of all cells by noise, per variance of a measurement. Without the mean.

@@ -1,5 +1,6 @@
 """Standard errors where a scene has no detail at all, so that noise is all that errors are of."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -142,3 +143,29 @@ def test_one_lost_pattern_leaves_a_bright_cell_bright(mode: Any, lost: int) -> N
     error = found.standard_error[0].ravel()[300]
     assert bright == pytest.approx(1e5, rel=0.02)
     assert abs(bright - 1e5) < found.errors_in_95 * error < 2e4
+
+
+@pytest.mark.parametrize("mode", ["plain", "reference", "s-matrix", "differential"])
+def test_errors_hold_where_most_counts_are_alike(mode: Any) -> None:
+    """A disc and white noise, cells of 1000 electrons, by a converter whose counts are 20 times the
+    noise, so that nearly all exposures give one count: rounding takes the picture, and its errors
+    are not spread evenly. 88 % of the cells within 1.96 in the mean over scenes and draws, where
+    75 to 82 % had been.
+    """
+    step = 20.0
+    rng, patterns = np.random.default_rng(11), PatternSet(16, 16, 256, mode=mode)
+    down, along = np.mgrid[:16, :16]
+    disc = 0.1 + 0.9 * ((along - 7) ** 2 + (down - 7.6) ** 2 < 16)
+    within = []
+    for scene in (disc, rng.random((16, 16))) * 12:
+        cells = 1000.0 * scene.ravel()
+        noise = 100 * np.sqrt(256) / (np.sqrt(2) if mode == "differential" else 2)
+        light = patterns.signal(cells) + noise * step * rng.random() + 1e6
+        light = light + noise * rng.normal(size=light.shape)
+        counts = replace(
+            record_of(light / (noise * step), patterns), electrons_per_count=noise * step
+        )
+        found = reconstruct(counts)
+        off = (found.image[0].ravel() - cells) / found.standard_error[0].ravel()
+        within.append(np.mean(np.abs(off[np.isfinite(off)]) < 1.96))
+    assert np.mean(within) > 0.88

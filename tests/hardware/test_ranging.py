@@ -10,10 +10,10 @@ from ugv_command import ugv
 
 from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.reconstruction import METHODS, range_image
-from hardware.reconstruction.depth import C_M_PER_S
 from hardware.reconstruction.gating import echo
 from hardware.reconstruction.ranging import AT_RAIL, ECHO_CUT, PHASES_CUT, PULSE_UNKNOWN
 from hardware.records import Flag, QuaternionPose, Shutter
+from hardware.waveform import C_M_PER_S
 
 TWO = (10e6, 13e6)
 

@@ -134,6 +134,48 @@ def test_standard_errors_of_a_full_set_hold_of_scenes_finer_than_the_prior(noise
         assert np.mean(within) > 0.86, name
 
 
+@pytest.mark.parametrize("count", [1024, 1014])
+@pytest.mark.parametrize("noise", [2.0, 1.0, 0.5])
+def test_standard_errors_hold_of_detail_that_is_lost_in_the_noise(noise: float, count: int) -> None:
+    """Scenes finer than the prior, of which noise leaves little, 32 x 32, all patterns and all but
+    ten: 93 % of the cells and more in the mean over draws.
+
+    Where detail counts only as far as it stands out of the scatter of the noise, and lies where
+    the noise in the image is largest, down to 82 %; of all but ten, with the prior's own loss, 64.
+    """
+    down, along = np.mgrid[0:32, 0:32]
+    random = np.random.default_rng(1)
+    scenes = {
+        "fence": along % 2,
+        "two cells wide": along // 2 % 2,
+        "bricks": (down % 3 == 0) | ((along + 2 * (down // 3 % 2)) % 4 == 0),
+        "white": random.random((32, 32)),
+        "flat": np.ones((32, 32)),
+    }
+    patterns = without(32, random.choice(512, 1024 - count, replace=False))
+    for name, scene in scenes.items():
+        draws = np.tile(np.asarray(scene, dtype=float), (16, 1, 1))
+        assert shares_within(draws, patterns, noise)[:, 2].mean() > 0.93, name
+
+
+@pytest.mark.parametrize("noise", [2.0, 1.0])
+def test_errors_of_own_patterns_hold_of_detail_that_is_lost_in_the_noise(noise: float) -> None:
+    """512 random patterns of 16 x 16 cells, which see them all: 92 % of the cells and more in the
+    mean over draws. By the prior's own loss it had been 81 and 82 % of a fence.
+    """
+    random = np.random.default_rng(2)
+    patterns = own_patterns(random.integers(0, 2, (512, 16, 16)).astype(float))
+    along = np.mgrid[0:16, 0:16][1]
+    scenes = {
+        "fence": along % 2,
+        "two cells wide": along // 2 % 2,
+        "white": random.random((16, 16)),
+    }
+    for name, scene in scenes.items():
+        draws = np.tile(np.asarray(scene, dtype=float), (12, 1, 1))
+        assert shares_within(draws, patterns, noise)[:, 2].mean() > 0.92, name
+
+
 def without(side: int, lost: np.ndarray) -> PatternSet:
     """A full set less the patterns at ``lost`` in `sequency` order, coarse to fine."""
     indices = np.delete(PatternSet(side, side, side * side, "sequency").indices, lost)

@@ -172,8 +172,8 @@ def lost_airlight_warnings(lost: Array, sun: Array) -> list[CaptureWarning]:
     text = (
         f"sunlight that hits no surface and is scattered by the air more than once is left out: "
         f"{more} the sun's computed light, in a layer of air that ends 10 m above the sensor, or "
-        "lower where it would dim the sun by e, over black ground; thicker layers and brighter "
-        "ground bring more"
+        "lower where it would dim the sun by e, over black ground at the first surface straight "
+        "below, 1.5 m where there is none; thicker layers and brighter ground bring more"
     )
     return [CaptureWarning("model", text)]
 

@@ -3,11 +3,13 @@
 It has no limit in air that fills all space, and what is above the sensor is not modelled: the sun's
 light is given where it arrives. So the air is taken to lie in a layer over black ground, which ends
 `_ABOVE_M` above the sensor, or lower where it would dim the sun by more than e on its way there.
+The ground is as far below as the first surface straight down, `_BELOW_M` where there is none.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.engine import mitsuba
 from twin.optics.backscatter import cell_rays
 from twin.optics.lost_orders import turned
 from twin.optics.problem import LightProblem
@@ -41,11 +43,11 @@ def lost_airlight(
     times = -(-_WALKS // len(directions))
     part = np.tile(np.arange(len(directions)), times)
     wall_m = (distance_m.ravel() * cosine[:, 0])[part]
-    above_m = min(_ABOVE_M, sun[2] / air.extinction_per_m)
+    ends_m = -_height_m(problem), min(_ABOVE_M, sun[2] / air.extinction_per_m)
     albedo = air.scattering_per_m / air.extinction_per_m
     light, place, heading = np.zeros(len(directions)), np.zeros((len(part), 3)), directions[part]
     # The first scattering is in front of the surface in every walk, and weighted.
-    first = -np.expm1(-air.extinction_per_m * _length(place, heading, wall_m, above_m, camera.axes))
+    first = -np.expm1(-air.extinction_per_m * _length(place, heading, wall_m, ends_m, camera.axes))
     weight, within = first, rng.uniform(size=len(part)) * first
     step = -np.log1p(-within) / air.extinction_per_m
     for order in range(1, _SEGMENTS):
@@ -57,7 +59,7 @@ def lost_airlight(
             light += np.bincount(part, seen, len(light))
         heading = turned(air, heading, rng)
         step = rng.exponential(1 / air.extinction_per_m, len(part))
-        goes_on = step < _length(place, heading, wall_m, above_m, camera.axes)
+        goes_on = step < _length(place, heading, wall_m, ends_m, camera.axes)
         if not goes_on.any():
             break
         part = part[goes_on]
@@ -71,10 +73,24 @@ def lost_airlight(
     return light.reshape(shape)
 
 
-def _length(place: Array, heading: Array, wall_m: Array, above_m: float, axes: Array) -> Array:
-    """How far walks may go on until they leave the layer or meet the wall."""
+def _height_m(problem: LightProblem) -> float:
+    """Of the sensor above the ground."""
+    if problem.scene is None:
+        return _BELOW_M
+    mi = mitsuba()
+    down = mi.Ray3f(mi.Point3f(problem.detector.origin_m.tolist()), mi.Vector3f(0, 0, -1))
+    hit = problem.scene.ray_intersect(down)
+    return float(hit.t[0]) if hit.is_valid()[0] else _BELOW_M
+
+
+def _length(
+    place: Array, heading: Array, wall_m: Array, ends_m: tuple[float, float], axes: Array
+) -> Array:
+    """How far walks may go on until they leave the layer, from the lower to the upper of its
+    ``ends_m``, or meet the wall.
+    """
     ahead, rise = heading @ axes[0], heading[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         to_wall = np.where(ahead > 0, (wall_m - place @ axes[0]) / ahead, np.inf)
-        to_end = np.where(rise > 0, above_m - place[:, 2], -_BELOW_M - place[:, 2]) / rise
+        to_end = np.where(rise > 0, ends_m[1] - place[:, 2], ends_m[0] - place[:, 2]) / rise
     return np.maximum(np.fmin(to_wall, np.where(rise == 0, np.inf, to_end)), 0.0)

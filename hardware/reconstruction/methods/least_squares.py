@@ -10,7 +10,7 @@ from hardware.reconstruction.standard_error import error_of_plain_inverse, error
 from hardware.reconstruction.unseen import unseen_of
 
 
-@method("least-squares", errors_in_95=errors_in_95)
+@method("least-squares", errors_in_95=errors_in_95, linear=True)
 def least_squares(
     values: Array, noise_variance: float, sensing: Sensing
 ) -> tuple[Array, Array | None]:

@@ -14,12 +14,14 @@ The mean stays out of the prior: it is estimated by generalised least squares (u
 Cressie, Statistics for Spatial Data, 1993, section 3.4). For Hadamard rows it is simply measured.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from hardware.reconstruction.cosine import filtered
+from hardware.reconstruction.noise import is_full
 from hardware.reconstruction.prior import (
     cell_variance,
     mean_square,
@@ -37,15 +39,18 @@ from hardware.reconstruction.standard_error import (
     tells_detail,
     unseen_detail,
 )
+from hardware.reconstruction.unseen import unseen_of
 from hardware.reconstruction.walsh_blocks import WalshBlocks
 
 #: Values of a matrix from measurements to cells, up to which it is faster than the transforms.
 _DENSE = 2**17
+#: Largest noise in one direction of the plain inverse over the mean, up to which it is compared.
+_UNLIKE = 8.0
 #: Share of the greatest eigenvalue below which one is roundoff.
 _NULL = 1e-9
 
 
-@method("lmmse", errors_in_95=errors_in_95)
+@method("lmmse", errors_in_95=errors_in_95, linear=True)
 def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Linear minimum mean-square error under a 1/f^2 prior.
 
@@ -60,18 +65,47 @@ def lmmse(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array
     ratio = noise_variance / scale
     cells = plan.image(values, ratio)
     by_detail, by_noise = plan.errors(ratio)
-    independent, stands = plan.structure(values), activity(cells, sensing)
+    independent = plan.structure(values)
     unseen = plan.unseen
     error = np.maximum(by_detail - unseen, 0.0)  # what smoothing takes of that which is seen
-    error *= stands
+    error *= activity(cells, sensing, noise_variance * by_noise)
     finest = detail_scale(*independent, noise_variance, ratio)
     error *= finest * calibration(sensing) ** 2
-    if isinstance(plan, FullPlan):  # scenes finer than the prior lose more than it foresees
-        lost, foreseen = plan.smoothed_away(values, cells, noise_variance, ratio), error.mean()
-        error *= max(lost / foreseen, 1.0) if foreseen else 1.0
+    lost = smoothed_away(plan, values, cells, noise_variance, ratio)
+    foreseen = float(error.mean())  # scenes finer than the prior lose more
+    error *= max(lost / foreseen, 1.0) if foreseen else 1.0
+    stands = activity(cells, sensing)
     error += unseen_detail(unseen, stands, independent, noise_variance, ratio, sensing)
     error += noise_variance * by_noise
     return cells, np.sqrt(error, out=error)
+
+
+def smoothed_away(
+    plan: "MixedPlan | SubsetPlan | FullPlan",
+    values: Array,
+    cells: Array,
+    noise_variance: float,
+    ratio: float,
+) -> float:
+    """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
+    whatever the prior: what it took of their plain inverse, less the noise in that (unbiased;
+    Stein, Ann. Stat. 9, 1981), with the standard error of that difference, as detail lost in the
+    scatter of the noise is not none. 0 where patterns tell no plain inverse.
+    """
+    sensing = plan.sensing
+    if isinstance(plan, MixedPlan):
+        plain = _plain_inverse(sensing)
+        if plain is None:
+            return 0.0
+        taken = sensing.pseudo_inverse @ values - cells
+        squares = plan.squares_taken(ratio, plain)
+    elif is_full(sensing.count, sensing.n_cells):  # rows of length n, as the cells' own over it
+        taken = (values - sensing.forward(cells)) / math.sqrt(sensing.n_cells)
+        squares = plan.taken(ratio) ** 2 / sensing.n_cells
+    else:
+        return 0.0
+    noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
+    return (float(taken @ taken) - noise) / sensing.n_cells
 
 
 @lru_cache(maxsize=16)
@@ -116,6 +150,10 @@ class SubsetPlan:
         """Mean square errors by detail and by noise, see `WalshBlocks.errors`."""
         detail, noise = self.blocks.errors(ratio)
         return np.maximum(detail, 0.0), noise + self.noise_of_flat
+
+    def taken(self, ratio: float) -> Array:
+        """Share of each independent measurement that smoothing takes; 0 of the mean."""
+        return self.blocks.taken(ratio)
 
     @cached_property
     def unseen(self) -> Array:
@@ -193,18 +231,9 @@ class FullPlan:
         detail = mean_square(self.spectrum * (1 - weight) ** 2)
         return detail, (float(np.vdot(weight, weight)) + 1) / n**2
 
-    def smoothed_away(
-        self, values: Array, cells: Array, noise_variance: float, ratio: float
-    ) -> float:
-        """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
-        whatever the prior: what it took of the plain inverse, less the noise in that (unbiased;
-        Stein, Ann. Stat. 9, 1981).
-        """
-        taken = 1 - self._weight(ratio)
-        taken[0, 0] = 0.0  # the mean is kept
-        plain, n = self.sensing.adjoint(values) / self.sensing.n_cells, self.sensing.n_cells
-        noise = noise_variance / n * float(np.vdot(taken, taken))
-        return (float(np.sum((plain - cells) ** 2)) - noise) / n
+    def taken(self, ratio: float) -> Array:
+        """See `SubsetPlan.taken`."""
+        return (1 - self._weight(ratio)).ravel()[1:]  # the mean is kept
 
     @cached_property
     def unseen(self) -> Array:
@@ -238,6 +267,7 @@ class MixedPlan:
     explain, that measure anything; ``variances`` (k,) those measurements' for a prior of scale 1.
     """
 
+    sensing: Sensing
     eigenvectors: Array
     eigenvalues: Array
     cells: Array
@@ -278,6 +308,17 @@ class MixedPlan:
             noise += each * float((weight * flat) ** 2 @ np.ones_like(weight))
         return np.maximum(detail, 0.0), noise
 
+    def squares_taken(self, ratio: float, plain: Array) -> Array:
+        """Squares of what smoothing takes of the plain inverse ``plain`` (n_cells, count) of each
+        eigenvector, (count,).
+        """
+        weight = 1 / (self.eigenvalues + max(ratio, self.floor))
+        flat = weight * (self.eigenvectors.T @ self.flat_image)
+        taken = plain - self.cells * weight
+        if precision := float(flat @ (self.eigenvectors.T @ self.flat_image)):  # the mean is kept
+            taken -= np.outer((1 - self.cells @ flat) / precision, flat)
+        return np.asarray((taken**2).sum(axis=0))
+
     @cached_property
     def unseen(self) -> Array:
         """See `SubsetPlan.unseen`."""
@@ -300,6 +341,20 @@ class MixedPlan:
         return 1 / power if power else 0.0
 
 
+@lru_cache(maxsize=4)
+def _plain_inverse(sensing: Sensing) -> Array | None:
+    """That of the eigenvectors of a `MixedPlan`, (n_cells, count), where all cells are seen. None
+    also where few directions hold most of its noise, which would hide what smoothing takes of all
+    others.
+    """
+    plan = lmmse_plan(sensing)
+    if not isinstance(plan, MixedPlan) or unseen_of(sensing).count:
+        return None
+    inverse = sensing.pseudo_inverse
+    noise = np.linalg.eigvalsh(inverse @ inverse.T)
+    return inverse @ plan.eigenvectors if noise[-1] < _UNLIKE * noise.mean() else None
+
+
 def mixed_plan(sensing: Sensing) -> MixedPlan:
     """Plan of any sensing, with a dense matrix ``(n_cells, count)``."""
     spectrum = prior_spectrum(*sensing.shape)
@@ -316,6 +371,7 @@ def mixed_plan(sensing: Sensing) -> MixedPlan:
     told = variances > max(_NULL * float(variances[-1]), roundoff)
     trace = float(np.trace(gram))
     return MixedPlan(
+        sensing=sensing,
         eigenvectors=eigenvectors,
         eigenvalues=np.maximum(eigenvalues, 0.0),
         cells=cells,

@@ -7,7 +7,7 @@ from hardware.reconstruction.sensing import Sensing
 from hardware.reconstruction.standard_error import error_of_plain_inverse, errors_in_95, structure
 
 
-@method("zero-fill", grid_only=True, errors_in_95=errors_in_95)
+@method("zero-fill", grid_only=True, errors_in_95=errors_in_95, linear=True)
 def zero_fill(values: Array, noise_variance: float, sensing: Sensing) -> tuple[Array, Array]:
     """Inverse transform, patterns not shown count as zero.
 
