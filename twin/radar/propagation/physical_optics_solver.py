@@ -18,8 +18,9 @@ from twin.radar.propagation.effects_by_bounds import (
     round_obstacles,
     sharp_edges,
 )
+from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.earlier import TracedFrame
-from twin.radar.propagation.facets.reflections import MOST_IMAGES
+from twin.radar.propagation.facets.reflections import LEAST_IMAGES, MOST_IMAGES
 from twin.radar.propagation.left_out import on_meshes
 from twin.radar.propagation.one_way.motion import target_motion
 from twin.radar.propagation.physical_optics import (
@@ -29,7 +30,7 @@ from twin.radar.propagation.physical_optics import (
     scattered,
     surface_clutter,
 )
-from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.prepared_scene import FurtherPaths, PreparedScene, prepare_scene
 from twin.radar.propagation.result import Heard, PathName, Propagation, by_delay
 from twin.radar.propagation.roughness import (
     absorbing_surfaces,
@@ -61,6 +62,7 @@ MOST_ECHO_PATHS = 2**20
 #: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
 #: done after eight minutes: then `MOST_ECHO_PATHS` is the limit.
 MOST_PATHS_BY_HAND = 2**24
+_FURTHER_PATHS = 2**17  # paths of facets' echoes up to which more than two are followed
 _UNSURE_MIRROR = 0.1  # of a mirror's free echo: error by edges before it that is warned of
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
@@ -82,13 +84,13 @@ def echoes(
     """
     roles = assign_scattering_models(scene, radar.ofdm.wavelength_m, with_optics=True)
     rough, on_roughness = rough_surfaces(scene, radar, roles, fidelity)
-    prepared, has_more_images = _prepared(scene, radar, roles, fidelity, rough)
+    prepared, further = _prepared(scene, radar, roles, fidelity, rough)
     of_bodies = scattered(
         prepared,
         radar,
         fidelity,
         earlier,
-        has_more_images=has_more_images,
+        has_more_images=None if further is None else further.objects,
         keep=keep,
         followed_s=followed_s,
     )
@@ -113,7 +115,10 @@ def echoes(
     diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])
     diffuse = diffuse.in_proportion_to_wavelength()
     mirrors = _mirrors(scene, roles, prepared, radar, fidelity)
-    points = _points(scene, prepared, radar, declared_alone(scene, roles), fidelity)
+    declared = declared_alone(scene, roles)
+    points = _points(scene, prepared, radar, declared, fidelity)
+    has_more = np.zeros(len(declared), dtype=bool) if further is None else further.points
+    missed = _missed_images(declared, has_more, points, prepared)
     names, paths = by_delay(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
@@ -151,6 +156,7 @@ def echoes(
             *absorbing_surfaces(scene, radar, rough),
             *smooth_surfaces(scene, radar, roles, fidelity),
             *mirrors[2],
+            *missed,
         ),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
@@ -166,17 +172,25 @@ def _prepared(
     roles: Sequence[Assignment],
     fidelity: Fidelity,
     rough: Collection[str],
-) -> tuple[PreparedScene, NDArray[np.bool_] | None]:
-    """With the images that are followed; by bounds also to which objects there are further ones."""
+) -> tuple[PreparedScene, FurtherPaths | None]:
+    """With the images that are followed; by bounds also to what there are further ones."""
     if fidelity.radar_images is not None:
         return _with_images(scene, radar, roles, fidelity, rough), None
     # One more reflection, to know whether there is any beyond those that are followed.
     prepared = prepare_scene(scene, radar, roles, MOST_IMAGES + 1, rough=rough, many=MANY_IMAGES)
-    if prepared.has_more_images and _echo_paths(prepared) <= MOST_ECHO_PATHS / _MORE_BY_TWO:
-        further = prepare_scene(scene, radar, roles, MOST_IMAGES, rough=rough)
-        if _echo_paths(further) <= MOST_ECHO_PATHS:
-            prepared = replace(further, has_more_images=True)
-    return prepared.up_to(MOST_IMAGES)
+    orders = [len(image.patches) for image in prepared.images]
+    if prepared.has_more_images and max(orders) < LEAST_IMAGES:
+        if _echo_paths(prepared) <= MOST_ECHO_PATHS / _MORE_BY_TWO:
+            further = prepare_scene(scene, radar, roles, LEAST_IMAGES, rough=rough)
+            if _echo_paths(further) <= MOST_ECHO_PATHS:
+                prepared = replace(further, has_more_images=True)
+        return prepared.up_to(LEAST_IMAGES)
+    # Between mirrors that face each other a flat body may glint in any image.
+    for order in range(min(MOST_IMAGES, max(orders)), LEAST_IMAGES, -1):
+        fewer, beyond = prepared.up_to(order)
+        if len(fewer.images) <= MANY_IMAGES and _echo_paths(fewer) <= _FURTHER_PATHS:
+            return fewer, beyond
+    return prepared.up_to(LEAST_IMAGES)
 
 
 def _with_images(
@@ -320,6 +334,32 @@ def _points(
         for path, name in zip(two_way, names, strict=True)
     ]
     return _paths(prepared, radar, echoes, names, objects_on_path)
+
+
+def _missed_images(
+    declared: Sequence[Target],
+    has_more: NDArray[np.bool_],
+    points: tuple[Sequence[PathName], Contributions],
+    prepared: PreparedScene,
+) -> tuple[str, ...]:
+    """Warnings of declared points to which there are paths by more reflections than are followed;
+    what they add is bounded as of bodies, by what those of the last ones are together.
+    """
+    names, paths = points
+    order = np.array([len(image.patches) for image in prepared.images])
+    of_path = np.maximum(order[paths.source], order[paths.receiver])
+    told = []
+    for number in np.flatnonzero(has_more).tolist():
+        target = declared[number].name
+        mine = np.array([name.target == target for name in names], dtype=bool)
+        every = np.abs(paths.amplitude[mine])
+        last = every[of_path[mine] == order.max()].sum() / max(np.linalg.norm(every), 1e-300)
+        if last > OF_TOLERANCE:
+            told.append(
+                f"{target}: reflections at large surfaces beyond {order.max()} are "
+                f"not followed; they may add {100 * last:.2g} % of its echo"
+            )
+    return tuple(told)
 
 
 def _paths(

@@ -47,6 +47,16 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class FurtherPaths:
+    """Whether there are paths by more reflections at large surfaces than those of any image: worth
+    tracing, to ``objects`` (n_objects,); to declared ``points`` (n_points,).
+    """
+
+    objects: NDArray[np.bool_]
+    points: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
 class PreparedScene:
     """The scene prepared for one pose: objects for rays, mirrors, images, and the tracing context.
 
@@ -54,9 +64,10 @@ class PreparedScene:
     the objects as the scene has them, undivided. ``images`` are those of
     ``all_images`` over which there is any echo; ``has_more_images``: whether there are others of
     more reflections, too many to look for; ``worth`` (n_images, n_objects): whether paths
-    between an image and an object that scatters are traced; ``motions`` are those of objects, by
-    number; ``untraced`` (n_objects,): bound
-    of the echo of each by all those that are not, in amplitude before losses.
+    between an image and an object that scatters are traced; ``sees_points`` (n_images, n_points):
+    whether a path between an image and a declared point may be; ``motions`` are those of objects,
+    by number; ``untraced`` (n_objects,): bound of the echo of each by all paths that are not
+    traced, in amplitude before losses.
     """
 
     anchor_m: Array
@@ -74,6 +85,7 @@ class PreparedScene:
     motions: RigidMotions
     radar_motion: PointMotion
     worth: NDArray[np.bool_]
+    sees_points: NDArray[np.bool_]
     untraced: Array
     context: TracingContext
     surface_of_object: NDArray[np.uint32]
@@ -92,20 +104,25 @@ class PreparedScene:
         seen = with_images(self.context, images, self.flats, motions, self.surface_of_object, order)
         return replace(self, images=tuple(images), context=seen)
 
-    def up_to(self, order: int) -> "tuple[PreparedScene, NDArray[np.bool_]]":
-        """The same with images of so many reflections at most, and to which objects paths by
-        further ones are worth tracing, (n_objects,).
+    def up_to(self, order: int) -> "tuple[PreparedScene, FurtherPaths]":
+        """The same with images of so many reflections at most, and to what paths lead by further
+        ones.
         """
         orders = np.array([len(image.patches) for image in self.images])
         some = np.flatnonzero(orders <= order)
+        further = FurtherPaths(
+            np.asarray(self.worth[orders > order].any(axis=0)) | self.has_more_images,
+            np.asarray(self.sees_points[orders > order].any(axis=0)) | self.has_more_images,
+        )
         if len(some) == len(orders):
-            return self, np.full(len(self.items), self.has_more_images)
+            return self, further
         fewer = replace(
             self.with_images([self.images[k] for k in some]),
             all_images=tuple(i for i in self.all_images if len(i.patches) <= order),
             worth=self.worth[some],
+            sees_points=self.sees_points[some],
         )
-        return fewer, np.asarray(self.worth[orders > order].any(axis=0))
+        return fewer, further
 
     @property
     def moves(self) -> bool:
@@ -174,7 +191,7 @@ def prepare_scene(
     limit, beam = _limit(radar), beam_of(radar.antenna)
     # Half of what may be left out is for images, half for paths to objects.
     found = images(sight, mirrors, place, axes[0], beam, order, limit / 2, many)
-    if found.is_cut_short:
+    if found.is_cut_short and max(len(image.patches) for image in found.images) < 2:
         assumed += (
             f"more than {many:g} images of the radar in large surfaces: none of more than one "
             "reflection is looked for (fidelity.radar_images = 2 does)",
@@ -195,6 +212,7 @@ def prepare_scene(
         motions=RigidMotions.of(items, anchor),
         radar_motion=radar_motion(scene),
         worth=np.zeros((0, len(items)), dtype=bool),
+        sees_points=np.zeros((0, 0), dtype=bool),
         untraced=np.zeros(len(items)),
         context=tracing_context(
             mi,
@@ -264,7 +282,11 @@ def _culled(
         image for image, is_kept in zip(prepared.all_images, is_used, strict=True) if is_kept
     ]
     return replace(
-        prepared.with_images(used_images), worth=worth, untraced=untraced, assumptions=assumed
+        prepared.with_images(used_images),
+        worth=worth,
+        sees_points=to_points[is_used] > 0,
+        untraced=untraced,
+        assumptions=assumed,
     )
 
 

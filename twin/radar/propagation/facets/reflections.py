@@ -24,7 +24,9 @@ Counts = NDArray[np.intp]
 #: Reflections at bodies that the coarse pass follows. Rays caught between touching objects go on
 #: for ever; on the yard's car the fourth to sixth add 2 %, all later ones 0.1 %.
 MOST_BOUNCES = 6
-MOST_IMAGES = 2  # reflections at large surfaces, on the way out and back each
+#: Reflections at large surfaces that it follows, on the way out and back each; the most where few
+#: images of the radar and few facets let it.
+LEAST_IMAGES, MOST_IMAGES = 2, 8
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
 

@@ -99,7 +99,8 @@ def images(
 
     Patches that receive least power are left out while the amplitude of all echoes over them,
     relative to the sent wave before losses, stays below ``limit``. Where there are more than
-    ``many`` images of up to two reflections, only those of one are found.
+    ``many`` images of up to two reflections, only those of one are found; of more than three
+    reflections none by which there would be more than ``many``.
     """
     images_so_far = [Image((), radar[None])]
     newest, left_out = images_so_far, 0.0
@@ -123,7 +124,8 @@ def images(
             _reflected(newest[row], number, flats)
             for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
         ]
-        if done == 1 and len(images_so_far) + len(newest) > many:
+        # The third tells to which objects paths by more than two reflections lead.
+        if done != 2 and len(images_so_far) + len(newest) > many:
             return Found(images_so_far, left_out, True)
         left_out += faint
         images_so_far = images_so_far + newest
