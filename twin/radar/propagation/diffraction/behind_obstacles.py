@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
+from twin.radar.propagation.diffraction.flat_sides import flat_sides
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
+from twin.radar.propagation.diffraction.side_echoes import side_echoes
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.rows import dots, lengths
@@ -121,9 +123,40 @@ def echoes_behind(
         bound[body], left_out[body], unfollowed[body] = found.bound, found.left_out, found.faint
         candidates += found.candidates
     echoes, of_cells = _contributions(surface_of_object, candidates, gain, accepted, left_out)
+    of_sides, added, unsure = _by_sides(
+        obstacles, surface_of_object, bodies[~too_large[bodies]], gain, accepted
+    )
     # Independent of each other.
-    parts = _UNFOLLOWED * unfollowed, left_out, of_cells
-    return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0), too_large)
+    parts = _UNFOLLOWED * unfollowed, left_out, of_cells, unsure
+    return RoundObstacles(
+        Contributions.concatenate([echoes, of_sides]),
+        np.hypot(bound, added),
+        np.linalg.norm(parts, axis=0),
+        too_large,
+    )
+
+
+def _by_sides(
+    obstacles: Screens,
+    surface_of_object: NDArray[np.uint32],
+    bodies: Indices,
+    gain: Callable[[Array], Array],
+    accepted: Accepted,
+) -> tuple[Contributions, Array, Array]:
+    """What flat sides of obstacles add where it counts, its amplitude, and by how much it may be
+    off, (n_bodies,).
+    """
+    added, unsure = np.zeros((2, len(accepted.limit)))
+    sides, parts = flat_sides(obstacles), [Contributions.none()]
+    for body in bodies.tolist() if sides else ():
+        facets, _ = _coarse(obstacles, body)
+        found = side_echoes(obstacles, facets, body, surface_of_object, gain, sides)
+        echoes, added[body], unsure[body] = found
+        if added[body] > accepted.limit[body] / 4:
+            parts.append(echoes)
+        else:
+            unsure[body] = added[body]
+    return Contributions.concatenate(parts), added, unsure
 
 
 class _OfBody(NamedTuple):
