@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
-from twin.radar.propagation.diffraction.flat_sides import flat_sides
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
@@ -147,10 +146,10 @@ def _by_sides(
     off, (n_bodies,).
     """
     added, unsure = np.zeros((2, len(accepted.limit)))
-    sides, parts = flat_sides(obstacles), [Contributions.none()]
-    for body in bodies.tolist() if sides else ():
+    parts = [Contributions.none()]
+    for body in bodies.tolist() if obstacles.sides else ():
         facets, _ = _coarse(obstacles, body)
-        found = side_echoes(obstacles, facets, body, surface_of_object, gain, sides)
+        found = side_echoes(obstacles, facets, body, surface_of_object, gain)
         echoes, added[body], unsure[body] = found
         if added[body] > accepted.limit[body] / 4:
             parts.append(echoes)

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from twin.geometry.edges import EdgeTable, connected
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
-from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.two_edges import ONE_EDGE
-from twin.radar.propagation.rows import lengths, phasors
-from twin.radar.scattering.surface import TABLE_STEPS
+from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -30,7 +29,6 @@ Indices = NDArray[np.int64]
 _GRAZING = 0.2  # sine of the angle between the side and the wave, at most
 _SHARP = 0.9  # cosine of the angle between faces of an edge, at most
 _FLAT_M = 3e-4  # by which corners of a side are off its plane
-_PLANE_M = 1e-3  # by which the radar's image in a mirror is off that in a side
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,27 +53,34 @@ class Side:
         """Of the source over the side."""
         return -float(self.edge[0] @ self.normal)
 
+    def over_m(self, places: Array) -> Array:
+        """Heights over the side of places relative to the source."""
+        over: Array = places @ self.normal + self.height_m
+        return over
 
-def flat_sides(obstacles: Screens) -> list[Side]:
-    """Of all obstacles those along whose sides the radar looks at grazing incidence."""
-    source = obstacles.prepared.images[0].place
+    def has(self, ends: Array) -> Flags:
+        """Whether edges (n, 2, 3) relative to the source are in its plane."""
+        return np.asarray((np.abs(self.over_m(ends)) < _FLAT_M).all(axis=1))
+
+
+def sides_of(outline: Outline, table: EdgeTable, points: Array, item: int) -> list[Side]:
+    """Of an object with this outline from the source, those that it looks along at grazing
+    incidence; ``points`` (n, 3) of its mesh, relative to the source.
+    """
+    rows = np.flatnonzero(table.count[outline.edge] == 2)
+    first = table.first[outline.edge[rows]]
+    faces = np.stack([table.half_edges[first], table.half_edges[first + 1]], axis=1) // 3
+    normals = _unit_normals(points, table.faces[faces].astype(np.int64))  # (n, 2, 3)
+    is_sharp = np.abs(dots(normals[:, 0], normals[:, 1])) < _SHARP
+    middle = outline.ends[rows].mean(axis=1)
+    sine = np.abs(np.einsum("nfi,ni->nf", normals, middle)) / lengths(middle)[:, None]
     found = []
-    for number, item in enumerate(obstacles.items):
-        outline, table = obstacles.outline(number, source), item.geometry.edges
-        points = item.vertices_m - obstacles.prepared.anchor_m - source
-        rows = np.flatnonzero(table.count[outline.edge] == 2)
-        first = table.first[outline.edge[rows]]
-        faces = np.stack([table.half_edges[first], table.half_edges[first + 1]], axis=1) // 3
-        normals = _unit_normals(points, table.faces[faces].astype(np.int64))  # (n, 2, 3)
-        is_sharp = np.abs(np.einsum("ni,ni->n", normals[:, 0], normals[:, 1])) < _SHARP
-        middle = outline.ends[rows].mean(axis=1)
-        sine = np.abs(np.einsum("nfi,ni->nf", normals, middle)) / lengths(middle)[:, None]
-        for row, which in np.argwhere(is_sharp[:, None] & (sine < _GRAZING)).tolist():
-            ends, lit = outline.ends[rows[row]], outline.lit[rows[row]]
-            face, normal = int(faces[row, which]), normals[row, which]
-            side = _side(points, table, face, normal * np.sign(normal @ lit), ends, number)
-            if side is not None and _is_deep(side):
-                found.append(side)
+    for row, which in np.argwhere(is_sharp[:, None] & (sine < _GRAZING)).tolist():
+        ends, lit = outline.ends[rows[row]], outline.lit[rows[row]]
+        face, normal = int(faces[row, which]), normals[row, which]
+        side = _side(points, table, face, normal * np.sign(normal @ lit), ends, item)
+        if side is not None and _is_deep(side):
+            found.append(side)
     return found
 
 
@@ -87,7 +92,7 @@ def _unit_normals(points: Array, faces: Indices) -> Array:
 
 
 def _side(
-    points: Array, table: EdgeTable, face: int, normal: Array, ends: Array, number: int
+    points: Array, table: EdgeTable, face: int, normal: Array, ends: Array, item: int
 ) -> Side | None:
     """The side that a face is a part of, at an edge of the outline: behind the edge where the
     source is below it, before the edge where it is above; None on the other side.
@@ -109,7 +114,7 @@ def _side(
     corners = table.faces[flat[part == part[place[face]]]]
     reach_m, at_m = depth_m[corners], float(middle @ inwards)
     front_m, rear_m = (reach_m.min(), 0.0) if is_seen else (0.0, reach_m.max())
-    return Side(ends, along, inwards, normal, at_m + front_m, at_m + rear_m, number)
+    return Side(ends, along, inwards, normal, at_m + front_m, at_m + rear_m, item)
 
 
 def _is_deep(side: Side) -> bool:
@@ -117,48 +122,21 @@ def _is_deep(side: Side) -> bool:
     return 0 < side.front_m < (1 - ONE_EDGE) * side.rear_m
 
 
-def is_mirror(obstacles: Screens, side: Side, body: int) -> bool:
-    """Whether the scene has an image of the radar in it that a body is traced from."""
-    prepared = obstacles.prepared
-    worth = prepared.worth[:, : len(obstacles.body)][:, obstacles.body == body].any(axis=1)
-    for number in np.flatnonzero(worth).tolist():
-        image = prepared.images[number]
-        if len(image.patches) == 1 and prepared.flats[image.patches[0]].object == side.item:
-            half = (image.place - prepared.images[0].place) / 2
-            if np.linalg.norm(half - (side.edge[0] @ side.normal) * side.normal) < _PLANE_M:
-                return True
-    return False
-
-
-def reflection(obstacles: Screens, side: Side, field: Complex) -> complex:
-    """Of the side, for a wave with this ``field`` (3,): of the component across the edge's normal
-    plane as TE, of the rest as TM.
-    """
-    prepared = obstacles.prepared
-    rows = np.array(prepared.context.table).reshape(-1, TABLE_STEPS + 1, 4)
-    row = rows[prepared.surface_of_object[side.item]]
-    cosine = abs(side.height_m) / float(np.linalg.norm(side.edge.mean(axis=0)))
-    te_re, te_im, tm_re, tm_im = row[round(min(cosine, 1.0) * TABLE_STEPS)].tolist()
-    across = abs(np.cross(side.inwards, side.normal) @ field) ** 2 / np.sum(np.abs(field) ** 2)
-    return complex(across * complex(te_re, te_im) + (1 - across) * complex(tm_re, tm_im))
-
-
 def changed_by(
     side: Side, direct: Array, wavenumber: float, coefficient: complex, is_mirror: bool
-) -> tuple[Complex, Complex]:
+) -> Complex:
     """What a side adds to the square of the field over the straight wave, (n,), at points at the
     ends of vectors (n, 3) from the source; ``is_mirror``: apart from the specular path by it, which
-    is known already to where the side ends. And how much of the square of the field without the
-    side is by the wave over both edges.
+    is known already to where the side ends.
     """
-    change, over_both = np.zeros((2, len(direct)), dtype=np.complex128)
-    u, v, along = (direct @ axis for axis in (side.inwards, side.normal, side.along))
+    change = np.zeros(len(direct), dtype=np.complex128)
+    u, v, along = direct @ side.inwards, side.over_m(direct), direct @ side.along
     height = side.height_m
     behind = np.flatnonzero(u > side.rear_m)
     at_m = along[behind] * side.rear_m / u[behind]
     first, last = np.sort(side.edge @ side.along)
     some = behind[(at_m > first) & (at_m < last)]
-    u, v, along = u[some], v[some] + height, along[some]
+    u, v, along = u[some], v[some], along[some]
     edges_m = np.array([side.front_m, side.rear_m])
     straight = np.sqrt(u**2 + (v - height) ** 2 + along**2)
     mirrored = np.sqrt(u**2 + (v + height) ** 2 + along**2)
@@ -174,22 +152,22 @@ def changed_by(
     is_reflected = -height + share * (v[:, None] + height) > 0
     is_reflected[:, 0] = ~is_reflected[:, 0]
     turn = coefficient * phasors(-(wavenumber * (mirrored - straight)))
-    black, both = _field(wavenumber, straight, once, twice, is_over, correlation)
-    image = turn * _field(wavenumber, mirrored, once, twice, is_reflected, -correlation)[0]
+    black = _field(wavenumber, straight, once, twice, is_over, correlation)
+    image = turn * _field(wavenumber, mirrored, once, twice, is_reflected, -correlation)
     specular = np.where(is_mirror & is_reflected.all(axis=1), turn, 0)
     known = specular * (specular + 2 * is_over.all(axis=1))
-    change[some], over_both[some] = image * (image + 2 * black) - known, 2 * black * both
-    return change, over_both
+    change[some] = image * (image + 2 * black) - known
+    return change
 
 
 def _field(
     wavenumber: float, straight: Array, once: Array, twice: Array, is_lit: Flags, correlation: Array
-) -> tuple[Complex, Complex]:
+) -> Complex:
     """Behind two edges, over the straight wave, given path lengths (n,), over each edge (n, 2) and
-    over both (n,); and of this the wave over both.
+    over both (n,).
     """
     q = np.maximum(wavenumber * (once - straight[:, None]), 0)
     both, alone = double_knife_edge(q, is_lit, correlation)
     single = np.where(is_lit, -1, 1) * knife_edge_factor(q) * phasors(-q)
-    both *= phasors(-(wavenumber * (twice - straight)))
-    return is_lit.all(axis=1) + np.sum(np.where(alone, single, 0), axis=1) + both, both
+    field: Complex = is_lit.all(axis=1) + np.sum(np.where(alone, single, 0), axis=1)
+    return field + both * phasors(-(wavenumber * (twice - straight)))
