@@ -28,6 +28,7 @@ Indices = NDArray[np.int64]
 
 _GRAZING = 0.2  # sine of the angle between the side and the wave, at most
 _SHARP = 0.9  # cosine of the angle between faces of an edge, at most
+_ACROSS = 0.7  # sine of the angle between an edge and the wave, at least
 _FLAT_M = 3e-4  # by which corners of a side are off its plane
 
 
@@ -63,9 +64,12 @@ class Side:
         return np.asarray((np.abs(self.over_m(ends)) < _FLAT_M).all(axis=1))
 
 
-def sides_of(outline: Outline, table: EdgeTable, points: Array, item: int) -> list[Side]:
+def sides_of(
+    outline: Outline, table: EdgeTable, points: Array, item: int, wavelength_m: float
+) -> list[Side]:
     """Of an object with this outline from the source, those that it looks along at grazing
-    incidence; ``points`` (n, 3) of its mesh, relative to the source.
+    incidence, at edges as long as a Fresnel zone and more; ``points`` (n, 3) of its mesh, relative
+    to the source.
     """
     rows = np.flatnonzero(table.count[outline.edge] == 2)
     first = table.first[outline.edge[rows]]
@@ -73,9 +77,14 @@ def sides_of(outline: Outline, table: EdgeTable, points: Array, item: int) -> li
     normals = _unit_normals(points, table.faces[faces].astype(np.int64))  # (n, 2, 3)
     is_sharp = np.abs(dots(normals[:, 0], normals[:, 1])) < _SHARP
     middle = outline.ends[rows].mean(axis=1)
+    edge_m = outline.ends[rows, 1] - outline.ends[rows, 0]
+    across_m = np.linalg.norm(np.cross(edge_m, middle), axis=1) / lengths(middle)
+    is_long = across_m > np.maximum(
+        np.sqrt(wavelength_m * lengths(middle)), _ACROSS * lengths(edge_m)
+    )
     sine = np.abs(np.einsum("nfi,ni->nf", normals, middle)) / lengths(middle)[:, None]
     found = []
-    for row, which in np.argwhere(is_sharp[:, None] & (sine < _GRAZING)).tolist():
+    for row, which in np.argwhere((is_sharp & is_long)[:, None] & (sine < _GRAZING)).tolist():
         ends, lit = outline.ends[rows[row]], outline.lit[rows[row]]
         face, normal = int(faces[row, which]), normals[row, which]
         side = _side(points, table, face, normal * np.sign(normal @ lit), ends, item)

@@ -62,7 +62,8 @@ class Screens:
         for number, item in enumerate(self.items):
             points = item.vertices_m - self.prepared.anchor_m - place
             outline = self.outline(number, place)
-            found += sides_of(outline, item.geometry.edges, points, number)
+            table, wavelength_m = item.geometry.edges, self.prepared.wavelength_m
+            found += sides_of(outline, table, points, number, wavelength_m)
         return found
 
     def outline(self, item: int, place: Array) -> Outline:
