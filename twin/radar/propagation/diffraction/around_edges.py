@@ -9,8 +9,8 @@ another obstacle stands behind it, one of each (`two_obstacles`). On a path over
 are looked for on every segment: before each mirror and behind the last.
 
 Obstacles are opaque and black, as in Kirchhoff's theory. Left out are the effects of their material
-and of the angle between their faces, a third edge on a path, and waves that creep around curved
-surfaces.
+and of the angle between their faces (but for flat sides: `flat_sides`), a third edge on a path, and
+waves that creep around curved surfaces.
 """
 
 from collections.abc import Callable, Iterator

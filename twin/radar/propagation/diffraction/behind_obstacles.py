@@ -5,6 +5,8 @@ Echoes whose forward and return paths are both direct are found elsewhere
 the field over the straight wave, direct and over the edges of obstacles, and D = 1 in the light and
 0 in the shadow, the share T^2 - D^2 of every facet's echo.
 
+What flat sides of obstacles reflect is added apart (`side_echoes`).
+
 A body is divided into cells, across which waves over edges take the same ways (`cell_echoes`).
 Which cells count, an estimate decides that needs no rays (`shadow_bounds`): the echo of all facets
 of a cell without obstacles, times what the edges near it may change. What is left out is told of
