@@ -5,12 +5,15 @@ above the side as in a half-space: odd across it, as before a side that reflects
 nothing with the solver: no edges, no images of the radar.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 from scipy.constants import speed_of_light
+from scipy.special import erf
 
-from tests.physics.radar_worlds import RADAR, plate, thing, wave, world
+from tests.physics.radar_worlds import RADAR, plate, quad, thing, wave, world
 from tests.physics.shadow_worlds import Array, K
 from twin.fidelity import DEFAULT
 from twin.radar.propagation.diffraction.flat_sides import Side, changed_by
@@ -97,3 +100,34 @@ def test_a_plate_behind_a_box_answers_by_the_side_too(top_m: float, radar: str) 
     stated = body.estimated_error * body.level_amplitude / abs(wave(free.contributions))
     assert abs(got - due) < (0.06 if radar != "optics" else stated)
     assert stated < 0.65
+
+
+def test_a_plate_behind_a_strip_is_heard_by_way_of_its_back_too() -> None:
+    """Half behind a strip of 10 cm half way, the plate mirrors itself in the strip's back: an echo
+    at 6 m beside that at 4 m, a fifth as strong. The one at 4 m alone is Kirchhoff's integral over
+    the strip's plane, to within what is stated.
+    """
+    strip = quad("strip", [[2, -0.16, -1.5], [2, -0.06, -1.5], [2, -0.06, 1.5], [2, -0.16, 1.5]])
+    target = plate("plate", (4.0, 0, 0), 0.3)
+    fidelity = DEFAULT.with_(radar_edges=0)
+    hidden, free = (
+        trace(world(*objects, target), RADAR, fidelity=fidelity)
+        for objects in ((replace(strip, radar="optics"),), ())
+    )
+    echoes, whole = hidden.contributions, wave(free.contributions)
+    range_m = echoes.delay_s * speed_of_light / 2
+    first, later = (
+        wave(echoes.take(np.flatnonzero((range_m > low) & (range_m < low + 0.5)))) / whole
+        for low in (3.8, 5.8)
+    )
+    y = np.linspace(-0.15, 0.15, 601)
+    bend = np.sqrt(0.5j * K * (1 / 2 + 1 / 2))
+    lower, upper = (bend * (edge - y / 2) for edge in (-0.16, -0.06))
+    field = 1 - (erf(upper) - erf(lower)) / 2
+    own = RADAR.antenna.gain(np.stack([np.full_like(y, 4.0), y, 0 * y], axis=1) / 4.0)
+    own = own * np.exp(-1j * K * y**2 / 4.0)
+    due = np.sum(own * field**2) / np.sum(own)
+    (body,) = (b for b in hidden.bodies if b.objects == ("plate",))
+    assert abs(first - due) < body.estimated_error * body.level_amplitude / abs(whole)
+    assert abs(first - due) < 0.05
+    assert 0.1 < abs(later) < 0.4
