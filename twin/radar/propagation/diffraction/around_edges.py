@@ -9,8 +9,8 @@ another obstacle stands behind it, one of each (`two_obstacles`). On a path over
 are looked for on every segment: before each mirror and behind the last.
 
 Obstacles are opaque and black, as in Kirchhoff's theory. Left out are the effects of their material
-and of the angle between their faces, a third edge on a path, and waves that creep around curved
-surfaces.
+and of the angle between their faces (but for flat sides: `flat_sides`), a third edge on a path, and
+waves that creep around curved surfaces.
 """
 
 from collections.abc import Callable, Iterator
@@ -250,9 +250,10 @@ class Segment:
         Returns these; paths over one of the edges that the points see; and which of ``paths`` are
         clear, without those that a path over two edges replaces.
         """
-        o, middle = self.obstacles, self.seen[rows].mean(axis=0)
-        rim = o.outline(item, middle).from_elsewhere(self.source - middle)
-        far = self._over(item, rim, rows, edge_paths)
+        o = self.obstacles
+        far = DiffractedPaths.concatenate(
+            [self._over(item, rim, rows, edge_paths) for rim in self._far_rims(item, rows)]
+        )
         edges = np.flatnonzero(np.isfinite(paths.lit_m))
         i, j = consecutive_edges(paths.take(edges), far, self.source, self.seen)
         i = edges[i]
@@ -266,6 +267,23 @@ class Segment:
         rest = other.take(matters & alone[:, 1])
         _, once = np.unique(np.stack([rest.point, rest.edge]), axis=1, return_index=True)
         return two.take(matters), rest.take(once), is_open
+
+    def _far_rims(self, item: int, rows: Indices) -> list[Outline]:
+        """Edges that points see, from the source; of sides along which the source looks those that
+        are seen from its own side of the plane: the wave over one edge passes the other one also
+        where the points see but one of them.
+        """
+        o, middle = self.obstacles, self.seen[rows].mean(axis=0)
+        seen = o.outline(item, middle).from_elsewhere(self.source - middle)
+        rims = []
+        for side in o.sides if self.level == 0 else ():
+            over_m = float(side.over_m(middle - self.source))
+            if side.item == item and (over_m > 0) != (side.height_m > 0):
+                seen = seen.take(np.flatnonzero(~side.has(seen.ends)))
+                place = middle - 2 * over_m * side.normal
+                other = o.outline(item, place).from_elsewhere(self.source - place)
+                rims.append(other.take(np.flatnonzero(side.has(other.ends))))
+        return [seen, *rims]
 
     def _is_open(self, paths: DiffractedPaths) -> NDArray[np.bool_]:
         return self._blocker(paths) == NOTHING

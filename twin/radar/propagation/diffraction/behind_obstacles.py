@@ -5,6 +5,8 @@ Echoes whose forward and return paths are both direct are found elsewhere
 the field over the straight wave, direct and over the edges of obstacles, and D = 1 in the light and
 0 in the shadow, the share T^2 - D^2 of every facet's echo.
 
+What flat sides of obstacles reflect is added apart (`side_echoes`).
+
 A body is divided into cells, across which waves over edges take the same ways (`cell_echoes`).
 Which cells count, an estimate decides that needs no rays (`shadow_bounds`): the echo of all facets
 of a cell without obstacles, times what the edges near it may change. What is left out is told of
@@ -28,6 +30,7 @@ from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, front_facets, in_voxels
+from twin.radar.propagation.diffraction.side_echoes import side_echoes
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.rows import dots, lengths
@@ -121,9 +124,40 @@ def echoes_behind(
         bound[body], left_out[body], unfollowed[body] = found.bound, found.left_out, found.faint
         candidates += found.candidates
     echoes, of_cells = _contributions(surface_of_object, candidates, gain, accepted, left_out)
+    of_sides, added, unsure = _by_sides(
+        obstacles, surface_of_object, bodies[~too_large[bodies]], gain, accepted
+    )
     # Independent of each other.
-    parts = _UNFOLLOWED * unfollowed, left_out, of_cells
-    return RoundObstacles(echoes, bound, np.linalg.norm(parts, axis=0), too_large)
+    parts = _UNFOLLOWED * unfollowed, left_out, of_cells, unsure
+    return RoundObstacles(
+        Contributions.concatenate([echoes, of_sides]),
+        np.hypot(bound, added),
+        np.linalg.norm(parts, axis=0),
+        too_large,
+    )
+
+
+def _by_sides(
+    obstacles: Screens,
+    surface_of_object: NDArray[np.uint32],
+    bodies: Indices,
+    gain: Callable[[Array], Array],
+    accepted: Accepted,
+) -> tuple[Contributions, Array, Array]:
+    """What flat sides of obstacles add where it counts, its amplitude, and by how much it may be
+    off, (n_bodies,).
+    """
+    added, unsure = np.zeros((2, len(accepted.limit)))
+    parts = [Contributions.none()]
+    for body in bodies.tolist() if obstacles.sides else ():
+        facets, _ = _coarse(obstacles, body)
+        found = side_echoes(obstacles, facets, body, surface_of_object, gain)
+        echoes, added[body], unsure[body] = found
+        if added[body] > accepted.limit[body] / 4:
+            parts.append(echoes)
+        else:
+            unsure[body] = added[body]
+    return Contributions.concatenate(parts), added, unsure
 
 
 class _OfBody(NamedTuple):

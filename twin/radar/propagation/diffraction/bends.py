@@ -2,8 +2,8 @@
 
 Around a place to which a path over an edge is known, the path to another place is the shortest one
 over the same edge's line, or over the same end of an edge; its knife-edge factor is that of its own
-phase, on its own side of the shadow's border. Of paths over two edges, and over ends, the amplitude
-is taken as the same.
+phase, on its own side of the shadow's border. Over two parallel edges it is the double knife edge's
+(`double_bends`). Of paths over two edges askew, and over ends, the amplitude is taken as the same.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.double_bends import DoubleBends
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
 from twin.radar.propagation.rows import dots, lengths
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+
+_PARALLEL = 0.999  # cosine of the angle between directions into the light of two edges, at least
 
 
 class Change(NamedTuple):
@@ -50,6 +53,8 @@ class Bends:
         nothing bends: there ``stop`` is the source.
     lit
         Unit vectors into the light, (n, 3), of a path over one edge; else 0.
+    aside
+        Into the light of both edges, (n, 2, 3), of a path over two parallel ones; else 0.
     wavenumber
         rad/m.
     """
@@ -60,13 +65,15 @@ class Bends:
     stop: Array
     along: Array
     lit: Array
+    aside: Array
     wavenumber: float
 
     @staticmethod
     def none(source: Array, known: Array, wavenumber: float) -> "Bends":
         """Of straight paths."""
         places, nothing = np.tile(source, (len(known), 1)), np.zeros((len(known), 3))
-        return Bends(source, known, places, places, nothing, nothing, wavenumber)
+        neither = np.zeros((len(known), 2, 3))
+        return Bends(source, known, places, places, nothing, nothing, neither, wavenumber)
 
     @staticmethod
     def of(
@@ -82,6 +89,9 @@ class Bends:
         lit = np.cross(diffracted.along, last - source)
         lit *= np.sign(dots(lit, diffracted.aside[:, 0]))[:, None]
         lit /= np.maximum(lengths(lit), 1e-300)[:, None]
+        aside = diffracted.aside / np.linalg.norm(diffracted.aside, axis=2, keepdims=True)
+        is_parallel = is_twice[:, 0] & (np.abs(dots(aside[:, 0], aside[:, 1])) > _PARALLEL)
+        aside = np.where((is_parallel & is_edge[:, 0])[:, None, None], aside, 0.0)
         count = len(known) - len(last)
         return replace(
             paths,
@@ -89,6 +99,7 @@ class Bends:
             stop=np.concatenate([paths.stop[:count], last]),
             along=np.concatenate([paths.along[:count], diffracted.along]),
             lit=np.concatenate([paths.lit[:count], np.where(is_edge & ~is_twice, lit, 0.0)]),
+            aside=np.concatenate([paths.aside[:count], aside]),
         )
 
     def take(self, which: NDArray[Any]) -> "Bends":
@@ -100,6 +111,7 @@ class Bends:
             self.stop[which],
             self.along[which],
             self.lit[which],
+            self.aside[which],
             self.wavenumber,
         )
 
@@ -121,6 +133,9 @@ class Bends:
         wave = knife_edge_factor(q)
         steady = np.where(is_lit == self._known_lit[number], wave, np.exp(1j * q) - wave)
         factor[one] = steady / self._known_factor[number]
+        two = np.flatnonzero(self._is_double[path])
+        if len(two):
+            factor[two] = self._doubles.factor(self._double_row[path[two]], places[two])
         return Change(longer - self._known_longer_m[path], factor, back)
 
     @cached_property
@@ -130,6 +145,27 @@ class Bends:
     @cached_property
     def _is_single(self) -> Flags:
         return np.asarray(self.lit.any(axis=1))
+
+    @cached_property
+    def _is_double(self) -> Flags:
+        return np.asarray(self.aside.any(axis=(1, 2)))
+
+    @cached_property
+    def _double_row(self) -> Indices:
+        return np.cumsum(self._is_double) - 1
+
+    @cached_property
+    def _doubles(self) -> DoubleBends:
+        some = np.flatnonzero(self._is_double)
+        stops = np.stack([self.begin[some], self.stop[some]], axis=1)
+        return DoubleBends(
+            self.source,
+            self.known[some],
+            stops,
+            self.along[some],
+            self.aside[some],
+            self.wavenumber,
+        )
 
     @cached_property
     def _known_longer_m(self) -> Array:

@@ -54,14 +54,14 @@ def cell_echoes(
         return Contributions.none(), 0.0
     _, cell = np.unique(facets.cell, return_inverse=True)
     facets = replace(facets, cell=cell.reshape(-1))
-    row = _places(facets)
+    row = middle_facets(facets)
     place, off = facets.middle[row], (offset_m(facets.middle) * normal)[row]
     straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
     ways, cell_is_lit = _ways(obstacles, place, off, straight, body)
     none = Bends.none(source, place, obstacles.wavenumber)
     every = np.arange(len(place))
     alone = Ways(every, straight, none, every, every, np.ones(len(place), dtype=complex))
-    current = _radiated(obstacles, facets, straight.take(facets.cell), surface_of_object)
+    current = radiated(obstacles, facets, straight.take(facets.cell), surface_of_object)
     # Facets beyond a border that divides their cell.
     step = cell_is_lit[facets.cell].astype(np.float64) - is_lit
     echoes, over_edges = summed(obstacles, facets, current, ways, straight.length)
@@ -85,7 +85,7 @@ def _of_paths(ways: Ways, over_edges: Complex, beyond: Complex) -> Complex:
     return found
 
 
-def _places(facets: Facets) -> Indices:
+def middle_facets(facets: Facets) -> Indices:
     """The facet in the middle of each cell, (n_cells,)."""
     middle, cell = facets.middle, facets.cell
     weight = lengths(facets.across)
@@ -116,7 +116,7 @@ def _ways(
     return Ways(at, paths, bends, one[is_kept], other[is_kept], two_way[is_kept]), is_lit
 
 
-def _radiated(
+def radiated(
     obstacles: Screens,
     facets: Facets,
     path: PointPaths,

@@ -271,6 +271,7 @@ def merged(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
             paths.point[:, None],
             np.floor(paths.longer_m / _MERGED_LENGTH_M)[:, None],
             np.floor(paths.stops[:, 0] / _MERGED_PLACE_M),
+            (paths.stops[:, :1] != paths.stops[:, 1:]).any(axis=2),  # over two edges
         ]
     )
     _, same = np.unique(cells, axis=0, return_inverse=True)

@@ -7,6 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.flat_sides import Side, sides_of
 from twin.radar.propagation.diffraction.outermost import OuterRims
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -52,6 +53,18 @@ class Screens:
     def wavenumber(self) -> float:
         """At the carrier, rad/m."""
         return 2 * np.pi / self.prepared.wavelength_m
+
+    @cached_property
+    def sides(self) -> list[Side]:
+        """Flat sides along which the radar looks at grazing incidence."""
+        place = self.prepared.images[0].place
+        found = []
+        for number, item in enumerate(self.items):
+            points = item.vertices_m - self.prepared.anchor_m - place
+            outline = self.outline(number, place)
+            table, wavelength_m = item.geometry.edges, self.prepared.wavelength_m
+            found += sides_of(outline, table, points, number, wavelength_m)
+        return found
 
     def outline(self, item: int, place: Array) -> Outline:
         """That of an obstacle from a place relative to the anchor."""
