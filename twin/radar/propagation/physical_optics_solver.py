@@ -357,7 +357,7 @@ def _missed_images(
         if last > OF_TOLERANCE:
             told.append(
                 f"{target}: reflections at large surfaces beyond {order.max()} are "
-                f"not followed; they may add {100 * last:.2g} % of its echo"
+                f"not followed; they may add {100 * last:.0f} % of its echo"
             )
     return tuple(told)
 
