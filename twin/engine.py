@@ -66,12 +66,7 @@ def mitsuba_of_radar() -> ModuleType:
     On CUDA cross-sections of plates and spheres were off, by 0.5 to 2 dB and in phase, and the
     radar compiled for 80 s. Raises EngineError where ``TWIN_VARIANT`` names it, else as `mitsuba`.
     """
-    if _variant().startswith("cuda"):
-        raise EngineError(
-            "TWIN_VARIANT: cuda_ad_mono computes the camera's light alone; the radar is computed "
-            "on the processor, without TWIN_VARIANT"
-        )
-    return mitsuba()
+    return _with_variant(_variant_of_radar())
 
 
 def sionna() -> ModuleType:
@@ -80,7 +75,7 @@ def sionna() -> ModuleType:
     Both engines live in one process; `mitsuba` sets the other variant again, and what was made in
     each stays usable. Raises EngineError as `mitsuba_of_radar` does.
     """
-    polarized = f"{mitsuba_of_radar().variant()}_polarized"
+    polarized = f"{_variant_of_radar()}_polarized"
     _with_variant(polarized)
     with signals_deferred():
         import sionna.rt as rt  # sets a variant of its own when first imported
@@ -94,6 +89,15 @@ def _variant() -> str:
     if name not in ("llvm_ad_mono", "cuda_ad_mono"):
         raise EngineError(f"TWIN_VARIANT: {name!r} is none of llvm_ad_mono, cuda_ad_mono")
     return name
+
+
+def _variant_of_radar() -> str:
+    if _variant().startswith("cuda"):
+        raise EngineError(
+            "TWIN_VARIANT: cuda_ad_mono computes the camera's light alone; the radar is computed "
+            "on the processor, without TWIN_VARIANT"
+        )
+    return _variant()
 
 
 def check_scenes_of_a_kernel(n_scenes: int, what: str) -> None:

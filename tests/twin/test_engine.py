@@ -5,7 +5,7 @@ import platform
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import MagicMock
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
@@ -119,6 +119,14 @@ def test_the_radar_is_refused_on_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
         radar_capture(scene, radar)
     with pytest.raises(EngineError, match="the radar is computed on the processor"):
         engine.sionna()
+
+
+def test_sionnas_variant_stays_while_it_is_asked_for() -> None:
+    """Each change loads modules of Sionna's anew, after a thousand with a warning of Dr.Jit's."""
+    engine.sionna()
+    with patch.object(sys.modules["mitsuba"], "set_variant") as changed:
+        engine.sionna()
+    changed.assert_not_called()
 
 
 def test_cuda_without_a_driver_stops_without_a_traceback(tmp_path: Path) -> None:
