@@ -63,8 +63,9 @@ def mitsuba() -> ModuleType:
 def mitsuba_of_radar() -> ModuleType:
     """Mitsuba on the processor.
 
-    On CUDA cross-sections of plates and spheres were off, by 0.5 to 2 dB and in phase, and the
-    radar compiled for 80 s. Raises EngineError where ``TWIN_VARIANT`` names it, else as `mitsuba`.
+    On CUDA cross-sections of plates and spheres were off, by 0.4 to 6 dB and in phase, and the
+    radar compiled for a minute and more. Raises EngineError where ``TWIN_VARIANT`` names it, else
+    as `mitsuba`.
     """
     return _with_variant(_variant_of_radar())
 

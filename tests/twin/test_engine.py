@@ -112,7 +112,7 @@ def test_kernels_of_several_scenes_are_refused_on_cuda(monkeypatch: pytest.Monke
 
 
 def test_the_radar_is_refused_on_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cross-sections were off by up to 2 dB, where `tests/physics` has 0.05."""
+    """Cross-sections were off by up to 6 dB, where `tests/physics` has 0.05."""
     scene, radar = load_scene("table1"), load_radar("hybrid-79")
     monkeypatch.setenv("TWIN_VARIANT", "cuda_ad_mono")
     with pytest.raises(EngineError, match="the radar is computed on the processor"):

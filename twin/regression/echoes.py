@@ -56,7 +56,6 @@ def strong_echoes(quiet: DemodulatedBurst, noisy: Iterable[DemodulatedBurst]) ->
     from scipy.ndimage import maximum_filter, uniform_filter
 
     wave = quiet.waveform
-
     image = range_doppler(quiet.channel, wave, _WINDOW)
     power = image.power_w
     off = (burst.channel - quiet.channel for burst in noisy)
