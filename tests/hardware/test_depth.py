@@ -69,8 +69,8 @@ def test_confidence_is_the_share_of_right_unwrappings(ratio: float) -> None:
 )
 @pytest.mark.parametrize("ratio", [0.5, 1.0])
 def test_errors_hold_where_phases_are_not_normal(frequencies: list[float], ratio: float) -> None:
-    """Noise as large as the amplitude, and half of it: of those on the right period 91 % and more
-    lie within 1.96 errors, and the mean confidence is 1.3 times their share at most. With errors of
+    """Noise as large as the amplitude, and half of it: of those on the right period 91 to 98 %
+    lie within 1.96 errors, and the mean confidence is 0.9 to 1.3 times their share. With errors of
     normal phases it is 81 to 91 %, and 1.7 times with three frequencies.
     """
     rng = np.random.default_rng(8)
@@ -81,8 +81,8 @@ def test_errors_hold_where_phases_are_not_normal(frequencies: list[float], ratio
     found = depth(z, frequencies, ratio)
     off = np.abs(found.distance_m - distance)
     right = off < C_M_PER_S / 4 / max(frequencies)
-    assert np.mean(off[right] < 1.96 * found.standard_error_m[right]) > 0.91
-    assert found.confidence.mean() < 1.3 * right.mean()
+    assert 0.91 < np.mean(off[right] < 1.96 * found.standard_error_m[right]) < 0.98
+    assert 0.9 < found.confidence.mean() / right.mean() < 1.3
 
 
 @pytest.mark.parametrize("frequencies", [[20e6], [20e6, 30e6]])

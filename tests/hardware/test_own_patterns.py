@@ -206,6 +206,8 @@ def test_plain_patterns_that_are_shown_again_tell_their_noise(in_turn: bool) -> 
     assert found.most_noise_electrons[0] == pytest.approx(600, rel=0.25)
     off = (found.image[0].ravel() - cells) / found.standard_error[0].ravel()
     assert np.sqrt(np.mean(off**2)) == pytest.approx(1, abs=0.4)
+    # Student's t of 128 differences; of the errors of all 256 measurements it were 1.969.
+    assert found.errors_in_95 == pytest.approx(1.979, abs=0.003)
 
 
 @pytest.mark.parametrize("n_lit", [2, 4, 8, 32])

@@ -233,3 +233,16 @@ def test_declared_points_tell_that_more_reflections_lead_to_them() -> None:
     assert any("t: reflections at large surfaces beyond 2 are not followed" in w for w in told)
     alone = world(CORRIDOR[0], LEVEL, targets=(point,))
     assert not trace(alone, WIDE, fidelity=Tolerance().knobs()).warnings
+
+
+def test_where_images_are_cut_short_more_may_lead_to_all() -> None:
+    """Of more than two images none of two reflections are looked for."""
+    point = Target("t", (5.0, 0.2, 0.0), (0, 0, 0), 0.1, "declared")
+    scene = world(*CORRIDOR, ball("b", (5.0, -0.5, 0), level=1), targets=(point,))
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
+    for many, is_cut in ((2, True), (32, False)):
+        prepared = prepare_scene(scene, WIDE, roles, 2, many=many)
+        assert prepared.has_more_images == is_cut
+        _, further = prepared.up_to(2)
+        assert further.points.tolist() == [is_cut]
+        assert further.objects.all() == is_cut
