@@ -225,12 +225,12 @@ def test_a_plate_between_facing_walls_glints_in_whichever_image(tilt_deg: float)
 
 
 def test_declared_points_tell_that_more_reflections_lead_to_them() -> None:
-    """Between four walls, of whose images of three reflections there are too many."""
+    """Between four walls, of whose images of five reflections there are too many."""
     ceiling = quad("ceiling", [[-4, -6, 1.2], [14, -6, 1.2], [14, 6, 1.2], [-4, 6, 1.2]])
     point = Target("t", (5.0, 0.2, 0.0), (0, 0, 0), 0.1, "declared")
     scene = world(*CORRIDOR, LEVEL, ceiling, targets=(point,))
     told = trace(scene, WIDE, fidelity=Tolerance().knobs()).warnings
-    assert any("t: reflections at large surfaces beyond 2 are not followed" in w for w in told)
+    assert any("t: reflections at large surfaces beyond 4 are not followed" in w for w in told)
     alone = world(CORRIDOR[0], LEVEL, targets=(point,))
     assert not trace(alone, WIDE, fidelity=Tolerance().knobs()).warnings
 

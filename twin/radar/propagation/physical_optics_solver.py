@@ -38,7 +38,7 @@ from twin.radar.propagation.roughness import (
     smooth_bodies,
     smooth_surfaces,
 )
-from twin.radar.propagation.scene.image_search import MANY_IMAGES
+from twin.radar.propagation.scene.image_search import FURTHER, MANY_IMAGES
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
@@ -188,7 +188,7 @@ def _prepared(
     # Between mirrors that face each other a flat body may glint in any image.
     for order in range(min(MOST_IMAGES, max(orders)), LEAST_IMAGES, -1):
         fewer, beyond = prepared.up_to(order)
-        if len(fewer.images) <= MANY_IMAGES and _echo_paths(fewer) <= _FURTHER_PATHS:
+        if len(fewer.images) <= FURTHER * MANY_IMAGES and _echo_paths(fewer) <= _FURTHER_PATHS:
             return fewer, beyond
     return prepared.up_to(LEAST_IMAGES)
 

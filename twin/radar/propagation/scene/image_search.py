@@ -23,6 +23,8 @@ _RAYS_AT_ONCE = 2**18  # some 100 MB
 #: From the radar and so many images on, no images of more than one reflection are looked for where
 #: bounds decide: paths between all pairs of these take minutes, as in a city.
 MANY_IMAGES = 32
+#: Times as many, from which on none of more than three reflections are looked for.
+FURTHER = 4
 _ASIDE = 1e-3  # of the path's length: how far beside a mirror the return path may pass
 
 
@@ -100,7 +102,7 @@ def images(
     Patches that receive least power are left out while the amplitude of all echoes over them,
     relative to the sent wave before losses, stays below ``limit``. Where there are more than
     ``many`` images of up to two reflections, only those of one are found; of more than three
-    reflections none by which there would be more than ``many``.
+    reflections none by which there would be more than `FURTHER` times as many.
     """
     images_so_far = [Image((), radar[None])]
     newest, left_out = images_so_far, 0.0
@@ -125,7 +127,8 @@ def images(
             for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
         ]
         # The third tells to which objects paths by more than two reflections lead.
-        if done != 2 and len(images_so_far) + len(newest) > many:
+        most = {1: many, 2: np.inf}.get(done, FURTHER * many)
+        if len(images_so_far) + len(newest) > most:
             return Found(images_so_far, left_out, True)
         left_out += faint
         images_so_far = images_so_far + newest
