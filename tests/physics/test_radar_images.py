@@ -219,7 +219,7 @@ def test_a_plate_between_facing_walls_glints_in_whichever_image(tilt_deg: float)
     )
     phase = 2 * np.pi * (CARRIER_HZ * echoes.delay_s[mine] % 1)
     level = abs(np.sum(echoes.amplitude[mine] * np.exp(-1j * phase)))
-    expected = GAIN / 100 * abs(corridor_sum(center, tilt_deg, half_m, 8)) / (4 * np.pi)
+    expected = GAIN / 100 * abs(corridor_sum(center, tilt_deg, half_m, 16)) / (4 * np.pi)
     assert abs(level - expected) < body.estimated_error * body.level_amplitude
     assert level == pytest.approx(expected, rel=0.1)
 

@@ -59,6 +59,16 @@ class Side:
         over: Array = places @ self.normal + self.height_m
         return over
 
+    def adds_edge_waves_alone(self, direct: Array, *, is_mirror: bool) -> Flags:
+        """Whether points at the ends of vectors (n, 3) from the source are in the light, and out of
+        that which the side reflects unless that is known already, as of `changed_by`.
+        """
+        u, v = direct @ self.inwards, self.over_m(direct)[:, None]
+        share = np.array([self.front_m, self.rear_m]) / u[:, None]
+        over = self.height_m + share * (v - self.height_m) > 0
+        front, rear = (-self.height_m + share * (v + self.height_m) > 0).T
+        return np.asarray(over.all(axis=1) & (is_mirror | ~rear | front))
+
     def has(self, ends: Array) -> Flags:
         """Whether edges (n, 2, 3) relative to the source are in its plane."""
         return np.asarray((np.abs(self.over_m(ends)) < _FLAT_M).all(axis=1))

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
+_THIN = 8.0  # square of the longest edge over the area, of one that is four times as long as wide
 FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
 
 
@@ -82,18 +83,37 @@ class Facets:
         return replace(some, cell=number[some.cell])
 
     def divided(self, size_m: Array) -> "Facets":
-        """In parts of at most these sizes, (n,)."""
+        """In parts of at most these sizes, (n,): in four, or thin ones across, in two."""
         parts, rest, limit = [], self, size_m
         while len(rest):
             is_wide = rest.sizes > limit
             parts.append(rest.take(~is_wide))
-            a, b, c = rest.corners[is_wide].swapaxes(0, 1)
-            ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-            four = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]])
-            corners = four.transpose(2, 0, 1, 3).reshape(-1, 3, 3)
-            wide, limit = rest.take(is_wide), np.repeat(limit[is_wide], 4)
-            rest = Facets(corners, np.repeat(wide.object, 4), np.repeat(wide.cell, 4))
+            wide, limit = rest.take(is_wide), limit[is_wide]
+            is_thin = wide.sizes**2 > _THIN * lengths(wide.across)
+            halves, quarters = wide.take(is_thin)._in_two(), wide.take(~is_thin)._in_four()
+            rest = Facets.concatenate([halves, quarters])
+            limit = np.concatenate([np.repeat(limit[is_thin], 2), np.repeat(limit[~is_thin], 4)])
         return Facets.concatenate([*parts, rest])
+
+    def _in_four(self) -> "Facets":
+        a, b, c = self.corners.swapaxes(0, 1)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        return self._in(np.array([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]))
+
+    def _in_two(self) -> "Facets":
+        """At the middle of the longest edge."""
+        edges = np.roll(self.corners, -1, axis=1) - self.corners
+        longest = np.linalg.norm(edges, axis=2).argmax(axis=1)
+        order = (longest[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(self.corners, order[..., None], axis=1).swapaxes(0, 1)
+        middle = (a + b) / 2
+        return self._in(np.array([[a, middle, c], [middle, b, c]]))
+
+    def _in(self, corners: Array) -> "Facets":
+        """In parts with corners (n_parts, 3, n, 3)."""
+        n_parts = len(corners)
+        each = corners.transpose(2, 0, 1, 3).reshape(-1, 3, 3)
+        return Facets(each, np.repeat(self.object, n_parts), np.repeat(self.cell, n_parts))
 
     def cut(self, place: Array, normal: Array) -> "Facets":
         """Cut at planes through a place (3,), with normals (n, 3)."""

@@ -29,13 +29,16 @@ from twin.radar.synthesis import Contributions
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_SMALL_M, _MOST = 0.005, 5.0e4  # size of facets, and about how many of a body
+_SMALL_M, _MOST = 0.005, 2.0e4  # size of facets, and about how many of a body
+_OF_SQUARE = 1 / 16  # area of a facet over the square of its size, about, after it was divided
 _CELL_M = 0.1
 _PLANE_M = 1e-3  # by which the radar's image in a mirror is off that in a side
 _COUNTS = 0.02  # of the straight wave, there and back: change of a coarse facet that counts
 #: Of what sides change, by which it may be off: their roughness and material, and the reflection at
 #: other angles than the radar's. Screens 3 cm apart in place of a side differ by as much.
 _UNSURE = 0.5
+#: The same in the light where only waves of edges are added.
+_UNSURE_EDGES = 1.0
 _STEP = 20.0  # rad/m: half of what the wavenumber changes by to the ends of a band of 4 GHz
 _APART_M = 0.015  # lengths, more and less than the straight way, that stand for the change over it
 _BAND = np.array([-0.02, 0.0, 0.02])  # of the carrier, over which levels are rms
@@ -51,16 +54,16 @@ def side_echoes(
     """Contributions of a body's facets, without gains; their amplitude, with gains; and by how much
     they may be off.
     """
-    parts, power = [Contributions.none()], 0.0
+    parts, power = [Contributions.none()], np.zeros(2)
     for side in obstacles.sides:
         if obstacles.body[side.item] == body:
             continue
         is_known = _is_followed(obstacles, side, body)
-        found = _by_side(obstacles, facets, surface_of_object, side, is_known)
-        power += _level(found, gain, obstacles.wavenumber) ** 2
+        found, beside = _by_side(obstacles, facets, surface_of_object, side, is_known)
+        power += _level(found, gain, obstacles.wavenumber) ** 2 * np.array([1 - beside, beside])
         parts.append(found)
-    level = float(np.sqrt(power))
-    return Contributions.concatenate(parts), level, _UNSURE * level
+    unsure = np.sqrt(power @ np.square([_UNSURE, _UNSURE_EDGES]))
+    return Contributions.concatenate(parts), float(np.sqrt(power.sum())), float(unsure)
 
 
 def _by_side(
@@ -69,14 +72,16 @@ def _by_side(
     surface_of_object: NDArray[np.uint32],
     side: Side,
     is_known: bool,
-) -> Contributions:
+) -> tuple[Contributions, float]:
+    """Contributions, and the share of their power that is waves of edges in the light."""
     k, source = obstacles.wavenumber, obstacles.prepared.images[0].place
     at_most = changed_by(side, facets.middle - source, k, -1.0, is_mirror=is_known)
     near = facets.take(np.abs(at_most) > _COUNTS)
     near = _free(obstacles, near, side)
     if not len(near):
-        return Contributions.none()
-    size = max(_SMALL_M, float(np.sqrt(2 * lengths(near.across).sum() / _MOST)))
+        return Contributions.none(), 0.0
+    area_m2 = float(lengths(near.across).sum())
+    size = max(_SMALL_M, float(np.sqrt(area_m2 / (_OF_SQUARE * _MOST))))
     near = near.divided(np.full(len(near), size))
     near = in_voxels(near, np.full(int(near.cell.max()) + 1, _CELL_M))
     row = middle_facets(near)
@@ -97,7 +102,9 @@ def _by_side(
         paths = replace(straight, extra=straight.extra + length_m / 2)  # out, and back
         alone = Ways(every, paths, none, every, every, np.ones(len(place), dtype=complex))
         parts.append(summed(obstacles, near, current * share, alone, straight.length)[0])
-    return Contributions.concatenate(parts)
+    square = np.abs(current * mean) ** 2
+    beside = square @ side.adds_edge_waves_alone(near.middle - source, is_mirror=is_known)
+    return Contributions.concatenate(parts), float(beside / max(square.sum(), 1e-300))
 
 
 def _is_followed(obstacles: Screens, side: Side, body: int) -> bool:

@@ -26,7 +26,7 @@ Counts = NDArray[np.intp]
 MOST_BOUNCES = 6
 #: Reflections at large surfaces that it follows, on the way out and back each; the most where few
 #: images of the radar and few facets let it.
-LEAST_IMAGES, MOST_IMAGES = 2, 8
+LEAST_IMAGES, MOST_IMAGES = 2, 16
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
 
