@@ -62,7 +62,7 @@ MOST_ECHO_PATHS = 2**20
 #: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
 #: done after eight minutes: then `MOST_ECHO_PATHS` is the limit.
 MOST_PATHS_BY_HAND = 2**24
-_FURTHER_PATHS = 2**17  # paths of facets' echoes up to which more than two are followed
+_FURTHER_PATHS = 2**16  # paths of facets' echoes up to which more than two are followed
 _UNSURE_MIRROR = 0.1  # of a mirror's free echo: error by edges before it that is warned of
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
