@@ -21,7 +21,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hardware.reconstruction.cosine import filtered
-from hardware.reconstruction.noise import is_full
+from hardware.reconstruction.noise import error_of_repetitions, is_full
 from hardware.reconstruction.prior import (
     cell_variance,
     mean_square,
@@ -100,8 +100,10 @@ def smoothed_away(
         return 0.0
     left = values - sensing.forward(cells)  # Hadamard rows are of length n, the cells' own over it
     taken = sensing.pseudo_inverse @ left if sensing.is_dense else left / math.sqrt(sensing.n_cells)
-    noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
-    return (float(taken @ taken) - noise) / sensing.n_cells
+    noise = float(squares.sum())
+    error = noise * error_of_repetitions(sensing.patterns)
+    scatter = math.hypot(math.sqrt(2 * float(squares @ squares)), error)
+    return (float(taken @ taken) - noise_variance * (noise - scatter)) / sensing.n_cells
 
 
 @lru_cache(maxsize=16)
