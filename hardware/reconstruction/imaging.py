@@ -271,13 +271,19 @@ def _of_unsmoothed(
     told, most = measured.noise_variance, measured.most_noise_variance
     if of_most is None or not is_full(sensing.count, sensing.n_cells):
         return of_most
-    if sensing.count >= sensing.n_cells:
-        grown = error * np.sqrt(np.divide(most, told, out=np.ones_like(most), where=told > 0))
-    elif sensing.is_dense:
-        return of_most
-    else:  # beside what is unseen, which does not grow with the noise
-        grown = np.hypot(error, np.sqrt(most * sensing.count) / sensing.n_cells)
+    grown = error * np.sqrt(np.divide(most, told, out=np.ones_like(most), where=told > 0))
+    if sensing.count < sensing.n_cells:  # what is unseen does not grow with the noise
+        beside = np.hypot(error, np.sqrt(_noise_of_plain_inverse(sensing)[:, None] * most))
+        grown = np.where(told > 0, np.fmin(grown, beside), beside)
     return np.where(measured.noise_told, of_most, np.fmax(of_most, grown))
+
+
+def _noise_of_plain_inverse(sensing: Sensing) -> Array:
+    """Variance of each cell, (n_cells,), per variance of a measurement."""
+    if not sensing.is_dense:  # rows of length n
+        return np.full(sensing.n_cells, sensing.count / sensing.n_cells**2)
+    inverse = sensing.pseudo_inverse
+    return np.asarray(np.einsum("ij,ij->i", inverse, inverse))
 
 
 def _compensated(

@@ -154,6 +154,20 @@ def _repetitions(patterns: OwnPatterns) -> tuple[NDArray[np.intp], NDArray[np.in
     return group.ravel(), times
 
 
+def _shown_again(patterns: OwnPatterns) -> int:
+    """Repetitions that tell the noise (`noise_of_repetitions`), 0 where none do."""
+    again = patterns.count - len(_repetitions(patterns)[1]) if patterns.mode == "plain" else 0
+    return again if again >= _LEAST_FINEST else 0
+
+
+def error_of_repetitions(patterns: Patterns) -> float:
+    """Standard error of the noise's variance over it, as repetitions tell it (of a chi-square); 0
+    where none do: that of pairs counts as known, that of all others is the most it can be.
+    """
+    again = _shown_again(patterns) if isinstance(patterns, OwnPatterns) else 0
+    return (2 / again) ** 0.5 if again else 0.0
+
+
 def freedom(patterns: Patterns) -> float:
     """Degrees of freedom with which a record tells the most noise that there can be."""
     if patterns.mode in ("differential", "complementary") and not isinstance(patterns, RasterScan):
@@ -161,8 +175,7 @@ def freedom(patterns: Patterns) -> float:
         in_turn = patterns.mode == "differential" and patterns.count > 2 * _LAG
         return found / _OF_IN_TURN if in_turn else found
     if isinstance(patterns, OwnPatterns):
-        again = patterns.count - len(_repetitions(patterns)[1]) if patterns.mode == "plain" else 0
-        return float(again) if again >= _LEAST_FINEST else patterns.count - 1.0
+        return float(_shown_again(patterns) or patterns.count - 1)
     whole = patterns
     if not isinstance(whole, PatternSet):  # a scan is transformed whole
         whole = PatternSet(whole.rows, whole.columns, whole.n_cells, "natural", "plain")

@@ -21,7 +21,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hardware.reconstruction.cosine import filtered
-from hardware.reconstruction.noise import is_full
+from hardware.reconstruction.noise import error_of_repetitions, is_full
 from hardware.reconstruction.prior import (
     cell_variance,
     mean_square,
@@ -90,22 +90,20 @@ def smoothed_away(
     """Mean square of the detail that smoothing took of the ``cells``, as measurements tell it
     whatever the prior: what it took of their plain inverse, less the noise in that (unbiased;
     Stein, Ann. Stat. 9, 1981), with the standard error of that difference, as detail lost in the
-    scatter of the noise is not none. 0 where patterns tell no plain inverse.
+    scatter of the noise is not none. 0 where few patterns or unlike ones tell no plain inverse.
     """
     sensing = plan.sensing
-    if isinstance(plan, MixedPlan):
-        plain = _plain_inverse(sensing)
-        if plain is None:
-            return 0.0
-        taken = sensing.pseudo_inverse @ values - cells
-        squares = plan.squares_taken(ratio, plain)
-    elif is_full(sensing.count, sensing.n_cells):  # rows of length n, as the cells' own over it
-        taken = (values - sensing.forward(cells)) / math.sqrt(sensing.n_cells)
-        squares = plan.taken(ratio) ** 2 / sensing.n_cells
-    else:
+    if not is_full(sensing.n_cells - unseen_of(sensing).count, sensing.n_cells):
         return 0.0
-    noise = noise_variance * (float(squares.sum()) - math.sqrt(2 * float(squares @ squares)))
-    return (float(taken @ taken) - noise) / sensing.n_cells
+    squares = plan.squares_taken(ratio)
+    if squares is None:
+        return 0.0
+    left = values - sensing.forward(cells)  # Hadamard rows are of length n, the cells' own over it
+    taken = sensing.pseudo_inverse @ left if sensing.is_dense else left / math.sqrt(sensing.n_cells)
+    noise = float(squares.sum())
+    error = noise * error_of_repetitions(sensing.patterns)
+    scatter = math.hypot(math.sqrt(2 * float(squares @ squares)), error)
+    return (float(taken @ taken) - noise_variance * (noise - scatter)) / sensing.n_cells
 
 
 @lru_cache(maxsize=16)
@@ -151,9 +149,11 @@ class SubsetPlan:
         detail, noise = self.blocks.errors(ratio)
         return np.maximum(detail, 0.0), noise + self.noise_of_flat
 
-    def taken(self, ratio: float) -> Array:
-        """Share of each independent measurement that smoothing takes; 0 of the mean."""
-        return self.blocks.taken(ratio)
+    def squares_taken(self, ratio: float) -> Array:
+        """Square of what smoothing takes of the plain inverse, summed over the cells, for each
+        independent measurement of variance 1; the mean is kept.
+        """
+        return self.blocks.taken(ratio) ** 2 / self.sensing.n_cells
 
     @cached_property
     def unseen(self) -> Array:
@@ -231,9 +231,9 @@ class FullPlan:
         detail = mean_square(self.spectrum * (1 - weight) ** 2)
         return detail, (float(np.vdot(weight, weight)) + 1) / n**2
 
-    def taken(self, ratio: float) -> Array:
-        """See `SubsetPlan.taken`."""
-        return (1 - self._weight(ratio)).ravel()[1:]  # the mean is kept
+    def squares_taken(self, ratio: float) -> Array:
+        """See `SubsetPlan.squares_taken`."""
+        return (1 - self._weight(ratio)).ravel()[1:] ** 2 / self.sensing.n_cells
 
     @cached_property
     def unseen(self) -> Array:
@@ -308,16 +308,28 @@ class MixedPlan:
             noise += each * float((weight * flat) ** 2 @ np.ones_like(weight))
         return np.maximum(detail, 0.0), noise
 
-    def squares_taken(self, ratio: float, plain: Array) -> Array:
-        """Squares of what smoothing takes of the plain inverse ``plain`` (n_cells, count) of each
-        eigenvector, (count,).
+    def squares_taken(self, ratio: float) -> Array | None:
+        """See `SubsetPlan.squares_taken`; None where few directions hold most of the noise of the
+        plain inverse, which would hide what smoothing takes of all others.
         """
+        plain = self._plain
+        if plain is None:
+            return None
         weight = 1 / (self.eigenvalues + max(ratio, self.floor))
-        flat = weight * (self.eigenvectors.T @ self.flat_image)
-        taken = plain - self.cells * weight
-        if precision := float(flat @ (self.eigenvectors.T @ self.flat_image)):  # the mean is kept
-            taken -= np.outer((1 - self.cells @ flat) / precision, flat)
+        flat = self.eigenvectors.T @ self.flat_image
+        taken = plain * (1 - self.eigenvalues * weight)
+        if precision := float(flat @ (weight * flat)):  # the mean is kept
+            taken -= np.outer(taken @ flat / precision, weight * flat)
         return np.asarray((taken**2).sum(axis=0))
+
+    @cached_property
+    def _plain(self) -> Array | None:
+        """Plain inverse of each eigenvector, (n_cells, count)."""
+        inverse = self.sensing.pseudo_inverse
+        noise = np.linalg.eigvalsh(inverse @ inverse.T)
+        seen = len(noise) - unseen_of(self.sensing).count
+        alike = noise[-1] < _UNLIKE * noise.sum() / seen
+        return inverse @ self.eigenvectors if alike else None
 
     @cached_property
     def unseen(self) -> Array:
@@ -339,20 +351,6 @@ class MixedPlan:
         """See `SubsetPlan.noise_of_flat`."""
         power = float(self.flat_image @ self.flat_image)
         return 1 / power if power else 0.0
-
-
-@lru_cache(maxsize=4)
-def _plain_inverse(sensing: Sensing) -> Array | None:
-    """That of the eigenvectors of a `MixedPlan`, (n_cells, count), where all cells are seen. None
-    also where few directions hold most of its noise, which would hide what smoothing takes of all
-    others.
-    """
-    plan = lmmse_plan(sensing)
-    if not isinstance(plan, MixedPlan) or unseen_of(sensing).count:
-        return None
-    inverse = sensing.pseudo_inverse
-    noise = np.linalg.eigvalsh(inverse @ inverse.T)
-    return inverse @ plan.eigenvectors if noise[-1] < _UNLIKE * noise.mean() else None
 
 
 def mixed_plan(sensing: Sensing) -> MixedPlan:
