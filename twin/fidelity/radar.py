@@ -101,8 +101,8 @@ class RadarFidelity(Knobs):
         trihedral needs 3. None: of every body as many, up to 6, as may add more than a tenth of
         `radar_tolerance` to its echo, as a coarse pass bounds it (`Propagation.decisions`).
     radar_images
-        Reflections at large surfaces on the way to an object, and as many back. None: up to 16, or 2
-        where images or facets are many, of every body as many as may add more than a tenth of
+        Reflections at large surfaces on the way to an object, and as many back. None: up to 16, or
+        2 where images or facets are many, of every body as many as may add more than a tenth of
         `radar_tolerance`. Of ways out by one image and home by another both directions are
         computed, each with its own currents, since physical optics is not reciprocal; what is met
         once answers in each with the mean of both. From 2 on an InputError where these are more
