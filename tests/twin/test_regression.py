@@ -79,12 +79,14 @@ def baseline_of(pytester) -> Path:
 
 
 def test_a_missing_baseline_fails_and_says_what_to_do(project, pytester) -> None:
-    result = project(ITSELF)
+    """Before anything is rendered or run."""
+    result = project('open("ran", "w") and image')
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         ['*no such baseline; make one: pytest "test_mine.py::test_mine" --update-baseline*']
     )
     assert not baseline_of(pytester).exists()
+    assert not (pytester.path / "ran").exists()
 
 
 @pytest.mark.parametrize("reason", ["", "  ", "test_mine.py"])

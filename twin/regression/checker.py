@@ -1,6 +1,6 @@
 """The fixture of a test: a camera's or a radar's method, compared with its baseline."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -98,6 +98,11 @@ class Regression:
         views, design = views_of(scene, poses), load_system(system)
         image_method(method)  # a wrong name is told before the render
         numbers, knobs = seeds_of(seeds, len(views)), knobs_of(fidelity)
+        setup = setup_of(
+            "camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics
+        )
+        stem = self._stem(name)
+        baseline = self._baseline(stem, setup, {"scene": views[0], "design": design})
         light = [self.truths.light(view, design, knobs) for view in views]
 
         def run(view: int, numbers: Sequence[int]) -> SeedResults:
@@ -132,13 +137,10 @@ class Regression:
             seeds=numbers,
             metrics=metrics,
             false_alarm=false_alarm,
-            setup=setup_of(
-                "camera", views[0], poses, design, knobs.part(LightFidelity), seeds, metrics
-            ),
-            contents={"scene": views[0], "design": design},
+            setup=setup,
             pictures=IMAGES,
         )
-        return self._verdicts(comparison, name)
+        return self._verdicts(comparison, baseline, stem)
 
     def radar(
         self,
@@ -163,6 +165,11 @@ class Regression:
         views, design = views_of(scene, poses), load_radar(radar)
         radar_detector(detector)  # a wrong one is told before the scene is traced
         numbers, knobs = seeds_of(seeds, len(views)), knobs_of(fidelity, design.total_bandwidth_hz)
+        setup = setup_of(
+            "radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics
+        )
+        stem = self._stem(name)
+        baseline = self._baseline(stem, setup, {"scene": views[0], "design": design})
         captures = [self.truths.echo(view, design, knobs) for view in views]
         accuracy = knobs.nufft_tolerance
 
@@ -183,27 +190,55 @@ class Regression:
             seeds=numbers,
             metrics=metrics,
             false_alarm=false_alarm,
-            setup=setup_of(
-                "radar", views[0], poses, design, knobs.part(RadarFidelity), seeds, metrics
-            ),
-            contents={"scene": views[0], "design": design},
+            setup=setup,
             pictures=ECHOES,
         )
-        return self._verdicts(comparison, name)
+        return self._verdicts(comparison, baseline, stem)
 
-    def _verdicts(self, comparison: Comparison, name: str) -> tuple[Verdict, ...]:
-        """Compare with the baseline, or make the baseline new where a reason is given."""
+    def _stem(self, name: str) -> str:
+        """Name of a comparison's files; the test fails where it has been taken."""
         __tracebackhide__ = True
         if name in self._named:
             _fail(f"name: {name!r} is taken: one for each comparison of a test")
         self._named.add(name)
-        outcome = comparison.run(comparison.seeds)
-        stem = f"{self.test}-{name}" if name else self.test
-        path, picture = self.baselines / f"{stem}.json", self.pictures / f"{stem}.png"
+        return f"{self.test}-{name}" if name else self.test
+
+    def _baseline(
+        self, stem: str, setup: dict[str, Any], contents: Mapping[str, Scene | System | RadarDesign]
+    ) -> Baseline | None:
+        """The baseline to compare with, None where a new one is made; the test fails, before
+        anything is rendered, where there is none with this setup.
+        """
+        __tracebackhide__ = True
         if self.reason is not None:
-            self._update(comparison, outcome, path, self.reason)
+            return None
+        path = self._path(stem)
+        fault = ""  # told outside of the handler: pytest shows what an exception was raised in
+        try:
+            baseline = read_baseline(path)
+        except InputError as error:
+            fault = str(error)
+        if fault:
+            _fail(f"{fault}: {self._remedy('why')}")
+        if baseline is None:
+            _fail(f"{path}: no such baseline; make one: {self._remedy('what it is for')}")
+        if apart := differences(baseline.setup, setup, contents):
+            _fail(
+                f"{path}: made with another setup: {'; '.join(apart)}; "
+                f"{self._remedy('why it changed')}"
+            )
+        return baseline
+
+    def _verdicts(
+        self, comparison: Comparison, baseline: Baseline | None, stem: str
+    ) -> tuple[Verdict, ...]:
+        """Compare with the baseline, or make a new one where there is none to compare with."""
+        __tracebackhide__ = True
+        outcome = comparison.run(comparison.seeds)
+        path, picture = self._path(stem), self.pictures / f"{stem}.png"
+        if baseline is None:
+            self._update(comparison, outcome, path)
             return ()
-        baseline = self._baseline(path, comparison)
         verdicts, repeats_itself = comparison.verdicts(outcome, baseline)
         if not repeats_itself:
             self.notes.append(f"{self.node}: {_NOT_REPEATED}")
@@ -215,28 +250,7 @@ class Regression:
             self.notes.append(f"{self.node}: better; keep it: {self._remedy('what improved')}")
         return verdicts
 
-    def _baseline(self, path: Path, comparison: Comparison) -> Baseline:
-        """The baseline of a file; the test fails where there is none with this setup."""
-        __tracebackhide__ = True
-        fault = ""  # told outside of the handler: pytest shows what an exception was raised in
-        try:
-            baseline = read_baseline(path)
-        except InputError as error:
-            fault = str(error)
-        if fault:
-            _fail(f"{fault}: {self._remedy('why')}")
-        if baseline is None:
-            _fail(f"{path}: no such baseline; make one: {self._remedy('what it is for')}")
-        if apart := differences(baseline.setup, comparison.setup, comparison.contents):
-            _fail(
-                f"{path}: made with another setup: {'; '.join(apart)}; "
-                f"{self._remedy('why it changed')}"
-            )
-        return baseline
-
-    def _update(
-        self, comparison: Comparison, outcome: SeedResults, path: Path, reason: str
-    ) -> None:
+    def _update(self, comparison: Comparison, outcome: SeedResults, path: Path) -> None:
         """Write the new baseline, in place of a damaged one too."""
         __tracebackhide__ = True
         try:
@@ -245,12 +259,15 @@ class Regression:
             before = None
         if fault := comparison.without_number(outcome):
             _fail(fault)
-        new = comparison.new_baseline(outcome, before, reason)
+        new = comparison.new_baseline(outcome, before, self.reason or "")
         if new is None:
             self.notes.append(f"{path}: as before, left alone")
             return
         write_baseline(new, path)
         self.notes.append(f"{path}: written; {_figures_text(new.history[-1])}")
+
+    def _path(self, stem: str) -> Path:
+        return self.baselines / f"{stem}.json"
 
     def _remedy(self, why: str) -> str:
         return f'pytest "{self.node}" --update-baseline "{why}"'

@@ -9,15 +9,12 @@ import numpy as np
 
 from twin.accuracy import Interval
 from twin.digest import versions
-from twin.radar import RadarDesign
 from twin.regression.baseline import Baseline, rounded
 from twin.regression.metrics import Metric
 from twin.regression.pictures import Pictures
 from twin.regression.runs import SeedResults, repeated
 from twin.regression.setup import n_views_of
 from twin.regression.statistics import Verdict, compare, repeats, smallest_loss
-from twin.scene import Scene
-from twin.system import System
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,6 @@ class Comparison:
         As of `Regression.camera`.
     setup
         As `twin.regression.setup.setup_of` gives it.
-    contents
-        The scene and the design that it is of, by these names.
     pictures
         How results are shown.
     """
@@ -49,7 +44,6 @@ class Comparison:
     metrics: Sequence[Metric]
     false_alarm: float
     setup: dict[str, Any]
-    contents: Mapping[str, Scene | System | RadarDesign]
     pictures: Pictures
 
     def verdicts(
