@@ -161,7 +161,7 @@ def levels(right_cells: Callable[[float], float], motion: Any, every: int = 64) 
     return np.array(found)
 
 
-@pytest.mark.parametrize("cells", [0.0, 4.0])
+@pytest.mark.parametrize("cells", [pytest.param(0.0, marks=pytest.mark.thorough), 4.0])
 def test_a_shift_that_the_record_tells_is_the_prediction(cells: float) -> None:
     """Better by some 4 dB than where values age; of a scene at rest the images are the same."""
     aged, told = (levels(lambda t: cells * t, motion) for motion in (None, Search()))

@@ -76,7 +76,9 @@ def test_direction_and_level_err_as_the_covariance_says(covariance, cosines) -> 
     assert apart > np.log(1.5) if covariance is SHARED else apart < np.log(1.15)
 
 
-@pytest.mark.parametrize("power_db", [15.0, 20.0, 50.0])
+@pytest.mark.parametrize(
+    "power_db", [20.0, *(pytest.param(p, marks=pytest.mark.thorough) for p in (15.0, 50.0))]
+)
 def test_measured_echoes_err_as_stated_in_noise_that_channels_share(power_db: float) -> None:
     """150 maps each: level, delay and rate scatter by 0.75 to 1.3 of what is stated (four and a
     half deviations of the scatter of 150: false alarms 1e-5). Taken as independent,

@@ -93,7 +93,11 @@ def test_a_frame_that_is_refused_is_told_with_the_reason(
     [
         (-1000.0, "s after it was started, which by its number takes"),
         (2.0, "to which that has not come when the frame arrives"),
-        (3600.0, "to which that has not come when the frame arrives"),
+        pytest.param(
+            3600.0,
+            "to which that has not come when the frame arrives",
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_frames_whose_times_are_not_those_of_the_clock_are_refused(

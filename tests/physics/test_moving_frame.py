@@ -379,6 +379,7 @@ def test_scores_of_a_frame_taken_as_still_hold_what_motion_does(system: System) 
     assert told.ssim.half_width < 3
 
 
+@pytest.mark.thorough
 def test_scores_of_a_moving_frame_hold_what_its_paths_err_by(system: System) -> None:
     """Exposures have light of other paths than the truth: images do not follow the truth's errors.
     They were taken to, and four frames of coarse light differed from fine light by up to 13 times

@@ -69,7 +69,7 @@ def test_a_plate_behind_a_screen_answers_over_its_edge(height: float) -> None:
     assert decibels(got / pattern(height)) == pytest.approx(decibels(due), abs=0.15)
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 10.0, 35.0])
+@pytest.mark.parametrize("turn_deg", [0.0, pytest.param(10.0, marks=pytest.mark.thorough), 35.0])
 @pytest.mark.parametrize("edge_m", [-0.03, 0.0])
 def test_a_box_behind_a_screen_is_kirchhoffs_integral(turn_deg: float, edge_m: float) -> None:
     """The screen's upright edge halves the box, or leaves all of it in the light; the truth is the
@@ -201,6 +201,7 @@ def _past_the_edge(
     return complex(np.sum(past**2 * own) / np.sum(own))
 
 
+@pytest.mark.thorough
 def test_a_body_behind_a_fence_answers_by_the_waves_of_all_posts() -> None:
     """By Kirchhoff's integral of eight posts, 0.5 times what is stated at most. Pairs of waves that
     are too faint by themselves were left out, and both sides of posts were one wave: 1.5 times.

@@ -122,6 +122,7 @@ def test_doubts_of_tubes_count(monkeypatch: pytest.MonkeyPatch) -> None:
     assert estimates(at(0.03, scene))["dihedral"] > 3 * 0.03
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [0.1, 0.03])
 def test_walls_lit_at_grazing_by_their_neighbours(tolerance: float) -> None:
     """Two walls of a bowl: a strip of one lights the other at 1 deg, 52 times as wide. With the

@@ -344,7 +344,12 @@ def test_many_frames_in_the_memory_of_a_few() -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [*range(8), *(pytest.param(n, marks=pytest.mark.slow) for n in range(8, 20))]
+    "seed",
+    [
+        *range(3),
+        *(pytest.param(n, marks=pytest.mark.thorough) for n in range(3, 8)),
+        *(pytest.param(n, marks=pytest.mark.slow) for n in range(8, 20)),
+    ],
 )
 def test_random_scenes(seed: int) -> None:
     """Boxes, balls and plates on the ground, a wall behind them; some of them jump."""

@@ -270,6 +270,7 @@ def test_a_hundred_thousand_points_of_the_closed_form_take_seconds(study, tmp_pa
     assert abs(moved["link.distance_m"].first) < moved["link.distance_m"].first_error
 
 
+@pytest.mark.thorough
 def test_numbers_of_a_system_are_arrays_too(study, tmp_path: Path) -> None:
     """A quarter of a million systems, no two alike, in seconds (one by one: a minute and more), and
     each is what the budget gives for it alone: to the rounding of a sum of spectra.

@@ -75,6 +75,7 @@ def test_what_cannot_be_sent_is_not_asked(helper: Helper) -> None:
     assert helper.answer() == 3
 
 
+@pytest.mark.thorough
 def test_a_run_writes_the_same_with_and_without(tmp_path: Path) -> None:
     helper = Helper("twin.job")
     results = [
@@ -120,7 +121,11 @@ def test_all_cores_are_used_again_after_an_error(tmp_path: Path) -> None:
     assert drjit.thread_count() == len(os.sched_getaffinity(0))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [pytest.param(n, marks=pytest.mark.thorough) for n in (signal.SIGINT, signal.SIGTERM)]
+    + [signal.SIGKILL],
+)
 def test_no_process_stays_behind(number: int, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "twin", "run", "yard", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)

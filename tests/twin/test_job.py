@@ -414,7 +414,9 @@ def test_a_lock_that_does_not_fit_names_its_folder_and_leaves_nothing(tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("after_s", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize(
+    "after_s", [1.0, *(pytest.param(t, marks=pytest.mark.thorough) for t in (0.2, 4.0))]
+)
 def test_ctrl_c_leaves_nothing_behind(after_s: float, tmp_path: Path) -> None:
     """After as much processor time."""
     process = subprocess.Popen(

@@ -70,7 +70,7 @@ def test_noise_of_cells_is_that_of_least_squares(folder: Path, mode: str) -> Non
     )
 
 
-@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_study_takes_files_of_patterns(folder: Path, workers: int) -> None:
     """By their content: a changed file is another study."""
     np.save(folder / "half.npy", BITS[::-1] * (np.arange(144) < 72).reshape(-1, 1, 1))

@@ -63,7 +63,7 @@ def test_a_run_finds_what_it_says(folder: Path) -> None:
     assert "echoes by one_echo" in (folder / "out" / "report.html").read_text()
 
 
-@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_studies_take_it(folder: Path, workers: int) -> None:
     (folder / "study.toml").write_text(
         'scene = "yard"\nmetrics = ["detections"]\n[grid]\n'

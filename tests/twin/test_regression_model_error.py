@@ -30,6 +30,7 @@ def rendered(system: System, seed: int) -> RenderedLight:
     return render(load_scene("yard"), system, fidelity=STANDARD, seed=np.random.SeedSequence(seed))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", [SYSTEM, FEW_PATTERNS])
 def test_figures_of_other_renders_scatter_as_their_errors_say(path: Path) -> None:
     """Variance over 8 renders against that of the errors told of 4 of them, 8 draws each: more
@@ -86,6 +87,7 @@ class Rendered:
         return rendered(system, self.seed)
 
 
+@pytest.mark.thorough
 def test_another_render_is_no_regression_and_a_worse_method_is(tmp_path: Path) -> None:
     """With an eighth of the patterns renders of 64 paths differ by more than the tolerance, which
     their errors explain; half of the image lost is found none the less.

@@ -109,6 +109,7 @@ def test_knobs_that_are_fixed_are_timed_and_kept(monkeypatch: pytest.MonkeyPatch
     assert still.camera.noise_share < 2
 
 
+@pytest.mark.thorough
 def test_a_time_below_that_of_the_largest_tolerance() -> None:
     """The yard, whose car moves within a frame: its echoes by declared targets alone, its light by
     coarser knobs than any tolerance's, which then hold for a capture.

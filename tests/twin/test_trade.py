@@ -195,6 +195,7 @@ def test_a_wrong_reference_is_found(small: tuple[Path, Path]) -> None:
     assert found(transport[:, ::-1]).worst_sigmas > 10 > found(transport).worst_sigmas
 
 
+@pytest.mark.thorough
 def test_rows_of_leds_agree_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """16 rows x 1 column before 16 columns of a sensor: a projector's texture must not shrink to
     the pattern's aspect. Mean of all patterns to 4 standard errors and 0.2 %, each to 6.
@@ -502,6 +503,7 @@ def test_few_cells_need_more_paths_each() -> None:
         assert max(r.samples for r in light_levels(system)) == expected / 4
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_levels")
 def test_choose_measures_and_returns_a_fidelity(small: tuple[Path, Path]) -> None:
     """A tolerance that nothing meets gives the most exact; one that all meet, little work."""
