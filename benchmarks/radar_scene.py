@@ -78,6 +78,9 @@ def _times(
     yield f"{what}: echoes and channel of {bins}", timed(synthesis, runs, warm_up=0), ""
     still = timed(lambda: frame(scene), runs, warm_up=0)
     yield f"{what}: whole frame", still, ""
+    began_s = time.process_time()
+    frame(scene)
+    yield f"{what}: whole frame, CPU time", time.process_time() - began_s, "s"
     first = trace(scene, radar, fidelity=fidelity, keep=True)
 
     def kept() -> float:
