@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hardware.radar.array_plane import ArrayPlane, extents
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.rate_evidence import CERTAIN
@@ -31,13 +32,15 @@ _EQUALLY_LIKELY = 0.1  # difference of the logarithms of likelihoods that tells 
 
 @dataclass(frozen=True)
 class Direction:
-    """Direction cosines to the left and up, their standard errors, and the delay rate.
+    """Direction cosines to the left and up, their standard errors with the ``correlation`` of
+    these, and the delay rate.
 
     NaN along an axis on which the array has no extent. ``delay_rate_alternatives``: rates that the
     phases across the TDM schedule cannot exclude, likeliest first; the direction holds for
     ``delay_rate``. ``others``: direction cosines of other lobes of the array that noise may have
-    raised above the true one, likeliest first. ``fits``: whether what one direction leaves of the
-    amplitudes may be noise; else several targets, or one that is no point, share the cell.
+    raised above the true one, and mirror images by the array's plane, likeliest first. ``fits``:
+    whether what one direction leaves of the amplitudes may be noise; else several targets, or one
+    that is no point, share the cell.
     """
 
     left: float
@@ -48,6 +51,7 @@ class Direction:
     delay_rate_alternatives: tuple[float, ...] = ()
     others: tuple[tuple[float, float], ...] = ()
     fits: bool = True
+    correlation: float = 0.0
 
     @property
     def elevation_rad(self) -> float:
@@ -70,9 +74,16 @@ class Direction:
 
     @property
     def azimuth_error_rad(self) -> float:
-        """To first order; near the array's axis from the interval of the cosine."""
-        level = np.cos(0.0 if np.isnan(self.up) else self.elevation_rad)
-        return angle_error(self.left_error / max(level, 1e-9), np.cos(self.azimuth_rad))
+        """With what the elevation's error does to it, as sin(az) = left / cos(el): to first order;
+        near the array's axis from the interval of the sine.
+        """
+        level, slope, up_error = 1.0, 0.0, 0.0
+        if not np.isnan(self.up):
+            level = max(float(np.cos(self.elevation_rad)), 1e-9)
+            slope, up_error = self.left * self.up / level**2, self.up_error
+        both = 2 * self.correlation * self.left_error * slope * up_error
+        square = self.left_error**2 + (slope * up_error) ** 2 + both
+        return angle_error(float(np.sqrt(max(square, 0.0))) / level, np.cos(self.azimuth_rad))
 
     @property
     def elevation_error_rad(self) -> float:
@@ -92,7 +103,11 @@ def angle_error(error: float, cosine: float) -> float:
 
 
 def direction(
-    amplitude: Complex, burst: DemodulatedBurst, delay_rates: ArrayLike, noise: ChannelNoise
+    amplitude: Complex,
+    burst: DemodulatedBurst,
+    delay_rates: ArrayLike,
+    noise: ChannelNoise,
+    plane: ArrayPlane,
 ) -> Direction:
     """Direction of a single target by beamforming: maximum likelihood in white noise; of noise that
     channels share the errors are larger or smaller.
@@ -107,54 +122,86 @@ def direction(
         Rates that the target's delay may have, in s/s, likeliest first.
     noise
         Of the amplitudes.
+    plane
+        That of the channels.
     """
     rates = np.atleast_1d(np.asarray(delay_rates, dtype=np.float64))
-    places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
-    seen = extents(places) > 1e-3
+    places = plane.places
     cosines = np.empty((len(rates), 2))
     share = np.empty(len(rates))  # of the power that one direction explains
     alike = _UNEVEN + _EQUALLY_LIKELY * noise.mean_w / max(_power_w(amplitude), 1e-300)
     for i, rate in enumerate(rates):
         still = compensate_motion(amplitude, burst, rate)
-        cosines[i] = _most_likely(still, places, seen, alike)
+        cosines[i] = _most_likely(still, plane, alike)
         share[i] = _shares(cosines[i], still, places)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
     phases = compensate_motion(steering(places, cosines[best]).conj(), burst, rates[best]).conj()
-    errors = np.full(2, np.nan)
-    errors[seen] = noise.cosine_errors(amplitude, phases, places[:, seen])
-    left, up = np.where(seen, cosines[best], np.nan)
+    left, up = _left_and_up(plane, plane.directions(cosines[[best]])[0, 0])
+    left_error, up_error, correlation = _errors(plane, cosines[best], amplitude, phases, noise)
     apart_w = _between_transmitters(noise, phases, burst)
     snr = noise.signal_w(amplitude) / apart_w if apart_w else np.inf
     snr *= len(amplitude)
     fits = fit_explains(amplitude, phases[:, None], noise)
     left_open = snr * (share.max() - share) < CERTAIN if fits else np.ones(len(share), dtype=bool)
     left_open[best] = False
-    others = np.empty((0, 2))
-    if seen.any():
-        still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
-        others = _other_lobes(still, cosines[best], places, seen, at_rest)
+    still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
+    others = _other_directions(still, cosines[best], plane, at_rest)
     return Direction(
-        float(left),
-        float(up),
-        float(errors[0]),
-        float(errors[1]),
+        left,
+        up,
+        left_error,
+        up_error,
         float(rates[best]),
         tuple(float(rate) for rate in rates[left_open]),
-        tuple((float(left), float(up)) for left, up in np.where(seen, others, np.nan)),
+        tuple(_left_and_up(plane, other) for other in others),
         fits,
+        correlation,
     )
 
 
-def _other_lobes(
-    amplitude: Complex, best: Array, places: Array, seen: Flags, noise: ChannelNoise
+def _left_and_up(plane: ArrayPlane, toward: Array) -> tuple[float, float]:
+    """Direction cosines to the left and up of a unit vector (3,), NaN of that which is not seen."""
+    left, up = np.where(plane.seen, toward[1:], np.nan)
+    return float(left), float(up)
+
+
+def _errors(
+    plane: ArrayPlane, cosines: Array, amplitude: Complex, phases: Complex, noise: ChannelNoise
+) -> tuple[float, float, float]:
+    """Standard errors of the direction cosines to the left and up, and their correlation."""
+    seen = plane.seen
+    covariance = np.zeros((2, 2))
+    covariance[np.ix_(seen, seen)] = noise.cosine_covariance(
+        amplitude, phases, plane.places[:, seen]
+    )
+    slopes = plane.slopes(cosines)
+    turned = slopes @ covariance @ slopes.T
+    errors = np.where(seen, np.sqrt(np.diag(turned)), np.nan)
+    both = float(errors.prod()) if seen.all() else 0.0
+    return float(errors[0]), float(errors[1]), float(turned[0, 1] / both) if both else 0.0
+
+
+def _other_directions(
+    amplitude: Complex, best: Array, plane: ArrayPlane, noise: ChannelNoise
 ) -> Array:
+    """Unit vectors (n, 3) of the directions ahead that noise does not tell from the best one: those
+    of other lobes, the largest first, and mirror images by the array's plane.
+    """
+    lobes = np.concatenate([best[None], _other_lobes(amplitude, best, plane, noise)])
+    every = plane.directions(lobes)
+    if plane.faces_ahead:
+        return every[1:, 0]
+    return every.reshape(-1, 3)[1:][every[..., 0].reshape(-1)[1:] > 0]
+
+
+def _other_lobes(amplitude: Complex, best: Array, plane: ArrayPlane, noise: ChannelNoise) -> Array:
     """Direction cosines (n, 2) of lobes of which noise along their beam, or along the best one, may
     make up the difference to that, the largest first.
     """
-    power_w = max(_power_w(amplitude), 1e-300)
+    power_w, places = max(_power_w(amplitude), 1e-300), plane.places
     highest = float(_shares(best, amplitude, places))
     most_w = max(float(np.linalg.eigvalsh(noise.covariance_w)[-1]), noise.least_w)
-    lobes = _lobes(amplitude, places, seen, highest - CERTAIN * most_w / power_w - _ROUNDING)
+    lobes = _lobes(amplitude, plane, highest - CERTAIN * most_w / power_w - _ROUNDING)
     lobes = lobes[np.abs(lobes - best).max(axis=1) > _ALIKE]
     beam_w = noise.along(steering(places, best))
     noise_w = np.array([max(beam_w, noise.along(steering(places, lobe))) for lobe in lobes])
@@ -176,16 +223,6 @@ def _between_transmitters(noise: ChannelNoise, phases: Complex, burst: Demodulat
     """
     turns = np.unique(burst.tdm_offset_s)
     return float(np.mean([noise.along(phases * (burst.tdm_offset_s == turn)) for turn in turns]))
-
-
-def virtual_array(burst: DemodulatedBurst) -> Array:
-    """Positions of the virtual array, the sum of each pair's, (n_channels, 3), in metres."""
-    return burst.transmitter_m + burst.receiver_m
-
-
-def extents(places: Array) -> Array:
-    """Extent along each axis."""
-    return np.asarray(np.ptp(places, axis=0))
 
 
 def steering(places: Array, cosines: Array) -> Complex:
@@ -216,25 +253,27 @@ def _power_w(amplitude: Complex) -> float:
     return float(np.vdot(amplitude, amplitude).real)
 
 
-def _most_likely(amplitude: Complex, places: Array, seen: Flags, alike: float) -> Array:
+def _most_likely(amplitude: Complex, plane: ArrayPlane, alike: float) -> Array:
     """Direction cosines (2,) of the highest beam; of those that explain as much of the power to
     within ``alike`` the nearest to the boresight, where antennas are most sensitive: beams of
     antennas a wavelength or more apart are equal.
     """
-    lobes = _lobes(amplitude, places, seen, None)
-    shares = _shares(lobes, amplitude, places)
+    lobes = _lobes(amplitude, plane, None)
+    shares = _shares(lobes, amplitude, plane.places)
     equal = lobes[shares >= shares[0] - alike]
     return np.asarray(equal[np.argmin(np.sum(equal**2, axis=1))])
 
 
-def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float | None) -> Array:
+def _lobes(amplitude: Complex, plane: ArrayPlane, least: float | None) -> Array:
     """Direction cosines (n, 2) of all lobes that explain at least a share of the power, the largest
-    first; of those that may be the largest if no share is named.
+    first; of those that may be the largest if no share is named. Of directions that are not ahead
+    only where no lobe is of one that is.
 
     Of a lobe whose highest place no direction has, that one on the horizon which explains most.
     """
     from scipy.ndimage import maximum_filter
 
+    places, seen = plane.places, plane.seen
     grid, beam = _beam(amplitude, places, seen)
     if least is None:
         lowest = beam[np.sum(grid**2, axis=-1) <= 1].max() * (1 - _BETWEEN)
@@ -250,6 +289,8 @@ def _lobes(amplitude: Complex, places: Array, seen: Flags, least: float | None) 
     else:
         within = _shares((1 - _ALIKE) * cosines, amplitude, places)
         likely = (shares >= least) & ~(beyond & (within > shares))
+    if (ahead := likely & plane.is_ahead(cosines)).any():
+        likely = ahead
     found = cosines[likely][np.argsort(-shares[likely])]
     _, first = np.unique(np.round(found, 5), axis=0, return_index=True)  # of several starts of one
     return found[np.sort(first)]

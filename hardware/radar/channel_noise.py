@@ -75,18 +75,22 @@ class ChannelNoise:
         power_w = float(np.mean(np.abs(amplitude) ** 2))
         return float(np.sqrt(2 * power_w * self.along(amplitude) / len(amplitude)))
 
-    def cosine_errors(self, amplitude: Complex, phases: Complex, places: Array) -> Array:
-        """Standard errors (n_axes,) of direction cosines.
+    def cosine_covariance(self, amplitude: Complex, phases: Complex, places: Array) -> Array:
+        """Covariance (n_axes, n_axes) of direction cosines.
 
         ``phases`` (n_channels,): of the echo without noise, of modulus 1. ``places`` (n_channels,
         n_axes): of the channels, in wavelengths.
         """
         centred = places - places.mean(axis=0)
         fit = centred @ np.linalg.pinv(centred.T @ centred) / (2 * np.pi)
-        powers = [
-            self.along(phases * weights) * np.sum(weights**2) for weights in fit.T.astype(complex)
-        ]
-        return np.asarray(np.sqrt(np.real(powers) / (2 * self.signal_w(amplitude))))
+        weights = phases[:, None] * fit
+        shared = np.real(weights.conj().T @ self.covariance_w @ weights)
+        white = self.least_w * fit.T @ fit
+        # Along each axis as `along`; of both together what either noise has in common.
+        sizes = np.sqrt(np.maximum(np.diag(shared), np.diag(white)))
+        both = shared + white
+        scale = sizes / np.sqrt(np.maximum(np.diag(both), 1e-300))
+        return np.asarray(both * np.outer(scale, scale) / (2 * self.signal_w(amplitude)))
 
     def errors(self, weights: Complex) -> Array:
         """Standard errors (n,) of the estimates Re(w^H a) of amplitudes a by weights w (n_channels,

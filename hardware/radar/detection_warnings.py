@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hardware.radar.array_plane import extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
 from hardware.radar.detection import Detection
@@ -114,6 +115,17 @@ def ambiguous(points: list[Detection]) -> list[str]:
         f"{name}: ambiguous for {count} of {len(points)} detections, alternatives listed"
         for name, count in counts.items()
         if count
+    ]
+
+
+def without_directions(interval: DemodulatedBurst) -> list[str]:
+    """A warning of an array whose places tell directions, but which `ArrayPlane` does not take."""
+    extent_m = extents(virtual_array(interval))
+    if extent_m.max() <= 1e-3 * interval.waveform.wavelength_m:
+        return []
+    return [
+        "direction: none is told, since the antennas are in no plane that faces ahead within 60 "
+        f"degrees: {', '.join(f'{1e3 * size:.3g}' for size in extent_m)} mm ahead, left and up"
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.radar.angles import extents, virtual_array
+from hardware.radar.array_plane import extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def _even_line(places: Array) -> tuple[list[NDArray[np.intp]], float]:
     left = np.round(places[:, 1] - places[:, 1].min(), 6)
     spots = np.unique(left)
     gaps = np.diff(spots)
-    if len(spots) < 2 or np.ptp(gaps) > 1e-3 * gaps.mean() or extents(places)[2] > 1e-3:
+    if len(spots) < 2 or np.ptp(gaps) > 1e-3 * gaps.mean() or extents(places)[[0, 2]].max() > 1e-3:
         raise InputError("burst: its channels are no evenly spaced line to the left")
     return [np.nonzero(left == spot)[0] for spot in spots], float(gaps.mean())
 

@@ -11,7 +11,8 @@ from hardware.blas import one_blas_thread
 from hardware.described import Described
 from hardware.errors import check_kind
 from hardware.radar.ambiguity import resolve_delay_rates
-from hardware.radar.angles import direction, extents, virtual_array
+from hardware.radar.angles import direction
+from hardware.radar.array_plane import ArrayPlane
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
 from hardware.radar.clutter import without_static
@@ -29,6 +30,7 @@ from hardware.radar.detection_warnings import (
     shifted_ranges,
     too_many,
     untested_rates,
+    without_directions,
 )
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
@@ -214,13 +216,15 @@ def _detections(
     if how.resolve:
         echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
     echoes = with_spread_of_others(echoes, interval, variance)
-    cells = [_points(echo, interval, how.per_cell, variance) for echo in echoes]
+    plane = ArrayPlane.of(interval)
+    cells = [_points(echo, interval, plane, how.per_cell, variance) for echo in echoes]
     points = [point for cell, _ in cells for point in cell]
     if len(points) > len(cells):
         points.sort(key=lambda point: -point.power_w)
         warnings += too_many(burst, len(points), how)
         points = points[: how.at_most]
     warnings += [
+        *(without_directions(interval) if plane is None and points else []),
         *mixed_directions([fits for _, fits in cells], how),
         *shifted_ranges(points, interval.waveform, how),
         *beside_the_reference(points, interval),
@@ -247,20 +251,25 @@ def frames(
 
 
 def _points(
-    echo: EchoMeasurement, interval: DemodulatedBurst, per_cell: int, variance: float
+    echo: EchoMeasurement,
+    interval: DemodulatedBurst,
+    plane: ArrayPlane | None,
+    per_cell: int,
+    variance: float,
 ) -> tuple[list[Detection], bool]:
     """The detection of an echo with its direction, or several of `targets_of_cell`, and whether
     their directions leave noise alone.
 
-    The array may exclude rates that migration cannot. ``variance``: of the phases of slots.
+    The array may exclude rates that migration cannot. ``plane``: of the array, None where it tells
+    no directions. ``variance``: of the phases of slots.
     """
     echo = with_rate_error(with_noise_of_its_cell(echo, interval), interval, variance)
-    if not np.any(extents(virtual_array(interval))[1:] > 0):
+    if plane is None:
         return [_detection(echo, interval)], True
     measured = not np.isnan(echo.delay_rate)
     rates = (echo.delay_rate if measured else 0.0, *echo.delay_rate_alternatives)
     noise = with_phases_of_turns(echo.noise, echo.amplitude, interval, variance)
-    bearing = direction(echo.amplitude, interval, rates, noise)
+    bearing = direction(echo.amplitude, interval, rates, noise, plane)
     if per_cell > 1 and not bearing.fits:
         cell = targets_of_cell(echo.amplitude, interval, rates, noise, per_cell)
         if cell.targets:

@@ -16,14 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
-from hardware.radar.angles import (
-    angle_error,
-    at_one_time,
-    extents,
-    fit_explains,
-    steering,
-    virtual_array,
-)
+from hardware.radar.angles import angle_error, at_one_time, fit_explains, steering
+from hardware.radar.array_plane import extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.music import line_spacing, most_targets, music

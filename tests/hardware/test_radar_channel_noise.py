@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hardware.radar import Cfar, range_doppler
-from hardware.radar.angles import direction, steering, virtual_array
+from hardware.radar.angles import direction, steering
+from hardware.radar.array_plane import ArrayPlane, virtual_array
 from hardware.radar.burst import demodulate
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.detection import detect_echoes
@@ -64,13 +65,13 @@ def test_direction_and_level_err_as_the_covariance_says(covariance, cosines) -> 
     for _ in range(2000):
         amplitude = 10 * steering(places, np.array(cosines)) + drawn(rng, covariance)
         noise = ChannelNoise.of_cells(drawn(rng, covariance, 48), 0.01)
-        way = direction(amplitude, burst, 0.0, noise)
+        way = direction(amplitude, burst, 0.0, noise, ArrayPlane.of(burst))
         found.append([way.left, way.up, np.mean(np.abs(amplitude) ** 2)])
         stated.append([way.left_error, way.up_error, noise.power_error_w(amplitude)])
     scatter, told = np.std(found, axis=0), np.sqrt(np.mean(np.square(stated), axis=0))
     np.testing.assert_allclose(told / scatter, 1.0, atol=0.09)
     white = ChannelNoise.white(12, 1.0)
-    way = direction(amplitude, burst, 0.0, white)
+    way = direction(amplitude, burst, 0.0, white, ArrayPlane.of(burst))
     by_white = [way.left_error, way.up_error, white.power_error_w(amplitude)] / scatter
     apart = np.abs(np.log(by_white)).max()
     assert apart > np.log(1.5) if covariance is SHARED else apart < np.log(1.15)

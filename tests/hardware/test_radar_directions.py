@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hardware.processing import cloud
-from hardware.radar.angles import Direction, direction, steering, virtual_array
+from hardware.radar.angles import Direction, direction, steering
+from hardware.radar.array_plane import ArrayPlane, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.detection import Detection
@@ -27,7 +28,7 @@ def seen(burst: DemodulatedBurst, cosines: tuple[float, float], level_db: float,
     n = len(places)
     level = np.sqrt(10 ** (level_db / 10) / n)
     amplitude = level * steering(places, np.array(cosines)) + drawn(rng, np.eye(n))
-    return direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0))
+    return direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0), ArrayPlane.of(burst))
 
 
 def off_lobes(
@@ -75,7 +76,7 @@ def test_the_likeliest_comes_first() -> None:
     places = virtual_array(burst)[:, 1:] / burst.waveform.wavelength_m
     for _ in range(20):
         amplitude = steering(places, np.array([0.2, 0.1])) + drawn(rng, np.eye(12))
-        found = direction(amplitude, burst, 0.0, ChannelNoise.white(12, 1.0))
+        found = direction(amplitude, burst, 0.0, ChannelNoise.white(12, 1.0), ArrayPlane.of(burst))
         all_told = np.array([(found.left, found.up), *found.others])
         power = np.abs(steering(places, all_told).conj() @ amplitude)
         assert np.all(np.diff(power) < 0)
@@ -121,7 +122,7 @@ def test_the_best_explains_most() -> None:
     n = len(places)
     for _ in range(300):
         amplitude = steering(places, np.array([0.4, 0.2])) / np.sqrt(4) + drawn(rng, np.eye(n))
-        found = direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0))
+        found = direction(amplitude, burst, 0.0, ChannelNoise.white(n, 1.0), ArrayPlane.of(burst))
         told = np.array([(found.left, found.up), *found.others])
         beam = np.abs(steering(places, told).conj() @ amplitude) ** 2 / n
         power = np.vdot(amplitude, amplitude).real
@@ -131,9 +132,7 @@ def test_the_best_explains_most() -> None:
 
 
 def test_of_no_array_there_are_none() -> None:
-    found = seen(at_rest(), (0.0, 0.0), 12.0, np.random.default_rng(1))
-    assert np.isnan([found.left, found.up]).all()
-    assert found.others == ()
+    assert ArrayPlane.of(at_rest()) is None
 
 
 def ambiguous(**other) -> Detection:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hardware.errors import InputError
-from hardware.radar.angles import direction, steering, virtual_array
+from hardware.radar.angles import direction, steering
+from hardware.radar.array_plane import ArrayPlane, virtual_array
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.process import process
@@ -125,11 +126,11 @@ def test_a_single_target_fits_one_direction(burst: DemodulatedBurst) -> None:
             noise = ChannelNoise.of_cells(np.asarray(cells), 0.8)
             one = echo(burst, [rng.uniform(-60, 60)], [32.0], rng)
             one += (root - np.eye(8)) @ (rng.normal(size=(8, 2)) @ [1, 1j]) / np.sqrt(2)
-            bad += not direction(one, burst, 0.0, noise).fits
+            bad += not direction(one, burst, 0.0, noise, ArrayPlane.of(burst)).fits
         assert bad <= 1
     for _ in range(50):
         two = echo(burst, [0.0, 8.0], list(45 * np.exp(2j * np.pi * rng.uniform(size=2))), rng)
-        assert not direction(two, burst, 0.0, ChannelNoise.white(8, 1.0)).fits
+        assert not direction(two, burst, 0.0, ChannelNoise.white(8, 1.0), ArrayPlane.of(burst)).fits
 
 
 def placed(azimuth_deg: float, power_w: float, phase_rad: float = 0.0) -> Echo:
@@ -201,7 +202,7 @@ def test_several_targets_tell_the_fold_of_the_rate(burst: DemodulatedBurst) -> N
         middle_deg = rng.uniform(-20, 20)
         levels = np.array([45.0, 36.0]) * np.exp(2j * np.pi * rng.uniform(size=2))
         amplitude = echo(burst, [middle_deg - 11, middle_deg + 11], list(levels), rng)
-        by_one += direction(amplitude, burst, rates, noise).delay_rate != 0
+        by_one += direction(amplitude, burst, rates, noise, ArrayPlane.of(burst)).delay_rate != 0
         cell = targets_of_cell(amplitude, burst, rates, noise, 2)
         by_two += cell.delay_rate != 0
         found = np.sort([one.azimuth_rad for one in cell.targets])
