@@ -1,8 +1,11 @@
 """Two reflections on a leg: image theory gives every path between perpendicular mirrors exactly."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.constants import speed_of_light
+from scipy.spatial.transform import Rotation
 
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
@@ -16,13 +19,15 @@ from tests.physics.radar_worlds import (
     quad,
     world,
 )
-from twin.fidelity import Tolerance
+from twin.fidelity import Fidelity, Tolerance
 from twin.radar import radar_capture
+from twin.radar.propagation.facets.convergence import band_of
 from twin.radar.propagation.physical_optics import scattered
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject, Target
+from twin.trade.bodies import echoes_by_body
 
 TWICE = OPTICS.with_(radar_images=2)
 K = 2 * np.pi / WAVELENGTH_M
@@ -224,6 +229,30 @@ def test_a_plate_between_facing_walls_glints_in_whichever_image(tilt_deg: float)
     expected = GAIN / 100 * abs(corridor_sum(center, tilt_deg, half_m, 16)) / (4 * np.pi)
     assert abs(level - expected) < body.estimated_error * body.level_amplitude
     assert level == pytest.approx(expected, rel=0.1)
+
+
+def test_a_closed_room_of_metal_states_what_further_reflections_add() -> None:
+    """Seen past a ball into a corner of the room, where three reflections return: each order of
+    images adds as much as the one before, for nothing is lost. What up to five on a way add to
+    those that are followed was 3 times what was stated.
+    """
+    size = np.array([10.0, 10.0, 5.0])
+    walls = []
+    for axis, low in product(range(3), (True, False)):
+        first, second = (np.eye(3)[k] * size[k] for k in range(3) if k != axis)
+        at = np.eye(3)[axis] * size[axis] * (not low) - size / 2
+        corners = [at, at + first, at + first + second, at + second]
+        walls.append(quad(f"wall {axis} {low}", corners))
+    rig = Rig(Pose((-3.1, -2.06, -0.95), yaw_deg=38.0))
+    ahead = Rotation.from_euler("z", 38, degrees=True).apply([1.83, -0.27, 0.14])
+    scene = world(*walls, ball("ball", rig.position_m + ahead, 0.012, level=2), rig=rig)
+    found = trace(scene, RADAR, fidelity=Tolerance().knobs())
+    by_hand = Fidelity(radar_images=5, radar_tolerance=0.1, radar_shadowed=0)
+    further = trace(scene, RADAR, fidelity=by_hand)
+    (body,), band = found.bodies, band_of(RADAR.ofdm)
+    one, other = (echoes_by_body(f, (("ball",),), RADAR, band) for f in (found, further))
+    off = np.sqrt(np.mean(np.abs(one - other) ** 2))
+    assert 0.5 * body.level_amplitude < off < body.estimated_error * body.level_amplitude
 
 
 def test_declared_points_tell_that_more_reflections_lead_to_them() -> None:

@@ -73,14 +73,14 @@ def scattered(
     fidelity: Fidelity,
     earlier: TracedFrame | None = None,
     *,
-    has_more_images: NDArray[np.bool_] | None = None,
+    further_images: Array | None = None,
     keep: bool = False,
     followed_s: float | None = None,
 ) -> Scattered:
     """Echoes of bodies to within ``fidelity.radar_tolerance``.
 
-    ``has_more_images`` (n_objects,): whether there are paths to an object by more reflections than
-    those of any image; None where that is not known. Valid paths of an ``earlier`` frame are
+    ``further_images`` (n_objects,): as `FurtherPaths.objects`; None where that is not known. Valid
+    paths of an ``earlier`` frame are
     reused. ``keep``: whether later frames may reuse this one, which is then traced in full.
     ``followed_s``: as of `solvers.trace`.
     """
@@ -115,7 +115,7 @@ def scattered(
         OF_NOISE * noise_amplitude(radar) / loss_of(radar),
         valid,
         by_images=by_images,
-        has_more_images=None if has_more_images is None else _of_any(has_more_images, body),
+        further_images=None if further_images is None else _most(further_images, body),
         with_footprints=keep,
     )
     traced = TracedFrame(radar, str(fidelity.radar), setting, echoes) if keep else None
@@ -126,10 +126,10 @@ def scattered(
     )
 
 
-def _of_any(objects: NDArray[np.bool_], body: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Of every body, whether it holds of any of its objects."""
-    found = np.zeros(body.max() + 1, dtype=bool)
-    found[body[objects & (body >= 0)]] = True
+def _most(objects: Array, body: NDArray[np.int32]) -> Array:
+    """Of every body, the most of any of its objects."""
+    found = np.zeros(body.max() + 1)
+    np.maximum.at(found, body[body >= 0], objects[body >= 0])
     return found
 
 

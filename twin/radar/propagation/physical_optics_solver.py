@@ -62,7 +62,9 @@ MOST_ECHO_PATHS = 2**20
 #: Where bounds decide on all else, up to six reflections at bodies and edges among it, they are not
 #: done after eight minutes: then `MOST_ECHO_PATHS` is the limit.
 MOST_PATHS_BY_HAND = 2**24
-_FURTHER_PATHS = 2**16  # paths of facets' echoes up to which more than two are followed
+#: Paths of facets' echoes up to which three reflections are followed, by which a corner of a room
+#: returns what comes past a body, and up to which more are.
+_THIRD_PATHS, _FURTHER_PATHS = 2**18, 2**16
 _UNSURE_MIRROR = 0.1  # of a mirror's free echo: error by edges before it that is warned of
 _MORE_BY_TWO = 8  # times as many by up to two reflections as by one, or more
 
@@ -90,7 +92,7 @@ def echoes(
         radar,
         fidelity,
         earlier,
-        has_more_images=None if further is None else further.objects,
+        further_images=None if further is None else further.objects,
         keep=keep,
         followed_s=followed_s,
     )
@@ -188,7 +190,8 @@ def _prepared(
     # Between mirrors that face each other a flat body may glint in any image.
     for order in range(min(MOST_IMAGES, max(orders)), LEAST_IMAGES, -1):
         fewer, beyond = prepared.up_to(order)
-        if len(fewer.images) <= FURTHER * MANY_IMAGES and _echo_paths(fewer) <= _FURTHER_PATHS:
+        limit = _THIRD_PATHS if order == LEAST_IMAGES + 1 else _FURTHER_PATHS
+        if len(fewer.images) <= FURTHER and _echo_paths(fewer) <= limit:
             return fewer, beyond
     return prepared.up_to(LEAST_IMAGES)
 

@@ -48,11 +48,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FurtherPaths:
-    """Whether there are paths by more reflections at large surfaces than those of any image: worth
-    tracing, to ``objects`` (n_objects,); to declared ``points`` (n_points,).
+    """What paths by more reflections at large surfaces than those of any image lead to: declared
+    ``points`` (n_points,), and ``objects`` (n_objects,), to which they are worth tracing: of these
+    times as many places of images of the most reflections as of one less, at least 1, else 0.
     """
 
-    objects: NDArray[np.bool_]
+    objects: Array
     points: NDArray[np.bool_]
 
 
@@ -110,8 +111,11 @@ class PreparedScene:
         """
         orders = np.array([len(image.patches) for image in self.images])
         some = np.flatnonzero(orders <= order)
+        last = orders[some].max()
+        before, newest = (self._n_places(np.flatnonzero(orders == n)) for n in (last - 1, last))
+        has_more = self.worth[orders > order].any(axis=0) | self.has_more_images
         further = FurtherPaths(
-            np.asarray(self.worth[orders > order].any(axis=0)) | self.has_more_images,
+            np.where(has_more, np.maximum(newest / np.maximum(before, 1), 1.0), 0.0),
             np.asarray(self.sees_points[orders > order].any(axis=0)) | self.has_more_images,
         )
         if len(some) == len(orders):
@@ -123,6 +127,16 @@ class PreparedScene:
             sees_points=self.sees_points[some],
         )
         return fewer, further
+
+    def _n_places(self, images: NDArray[np.intp]) -> NDArray[np.intp]:
+        """At how many places the radar is seen from each object by some images, (n_objects,): walls
+        at right angles have several images at one, each for one order of reflections.
+        """
+        found = np.array([self.images[k].place for k in images]).reshape(-1, 3)
+        place = np.unique(np.round(found, 3), axis=0, return_inverse=True)[1].reshape(-1)
+        seen = np.zeros((len(found), self.worth.shape[1]), dtype=bool)
+        np.logical_or.at(seen, place, self.worth[images])
+        return np.asarray(seen.sum(axis=0))
 
     @property
     def moves(self) -> bool:

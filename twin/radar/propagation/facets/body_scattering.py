@@ -59,7 +59,7 @@ def scattered_by(
     valid: Valid | None = None,
     *,
     by_images: bool = False,
-    has_more_images: NDArray[np.bool_] | None = None,
+    further_images: Array | None = None,
     with_footprints: bool = False,
 ) -> TracedEchoes:
     """Contributions of every body, and errors that their sums may have, with the antenna's gain.
@@ -75,8 +75,8 @@ def scattered_by(
         every body as many as may add more than a tenth of the tolerance.
     by_images
         Whether of reflections on the way to bodies, too, only as many are computed.
-    has_more_images
-        Of bodies, (n_bodies,): whether there are paths by more reflections than those of any image.
+    further_images
+        Of bodies, (n_bodies,), as `FurtherPaths.objects`.
     floor
         Amplitude below which no error counts.
     valid
@@ -99,7 +99,7 @@ def scattered_by(
             floor,
             valid.without(fell),
             by_images=by_images,
-            has_more_images=has_more_images,
+            further_images=further_images,
         )
 
     count = int(scatterers.body.max()) + 1
@@ -115,7 +115,7 @@ def scattered_by(
             permitted,
             bounces,
             by_images=by_images,
-            has_more_images=has_more_images,
+            further_images=further_images,
         )
     search = Search(
         context,

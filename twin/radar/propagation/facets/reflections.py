@@ -5,7 +5,8 @@ by reflections at bodies, and by reflections at large surfaces, on the way with 
 further reflections add is bounded by what the coarse pass found of them: their sum over the band as
 it stands, the rms of what it left out as faint, and three times the errors that it accepted of
 them, as in the estimate of a body's error. Reflections beyond those that it follows are told with
-the bound of the last ones: a reflection adds no power.
+the bound of the last ones: a reflection adds no power. In rooms, where each reflection more leads
+to more images, they go on as the last ones do beside those before, and their powers add.
 """
 
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ MOST_BOUNCES = 6
 #: Reflections at large surfaces that it follows, on the way out and back each; the most where few
 #: images of the radar and few facets let it.
 LEAST_IMAGES, MOST_IMAGES = 2, 16
+_ENDLESS = 0.95  # at most: what one more reflection in a room adds over that of the last one
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
 
@@ -97,8 +99,8 @@ class Tally:
 
     ``order``: of each image; ``permitted``: of each effect that is left out, relative to a body's
     level; ``faintest``: what the coarse pass may leave out, likewise; ``bounces`` as given, or
-    None; ``by_images``: whether images are left out; ``has_more_images`` (n_bodies,): whether paths
-    lead to a body by more reflections at large surfaces than those of any image.
+    None; ``by_images``: whether images are left out; ``further_images`` (n_bodies,): as
+    `FurtherPaths.objects`.
     """
 
     def __init__(
@@ -110,11 +112,10 @@ class Tally:
         bounces: int | None = None,
         *,
         by_images: bool = True,
-        has_more_images: NDArray[np.bool_] | None = None,
+        further_images: Array | None = None,
     ) -> None:
         self._order, self._bounces, self._by_images = order, bounces, by_images
-        every = np.ones(n_bodies, dtype=bool)
-        self._has_more_images = every if has_more_images is None else has_more_images
+        self._further_images = np.ones(n_bodies) if further_images is None else further_images
         self.permitted = permitted
         self.faintest = _FAINT * permitted / _SURE
         self._shape = n_bodies, MOST_BOUNCES, int(order.max(initial=0)) + 1
@@ -165,7 +166,7 @@ class Tally:
             self.permitted,
             self._bounces,
             by_images=self._by_images,
-            has_more_images=self._has_more_images,
+            further_images=self._further_images,
         )
         fine.faintest = np.inf
         if kept is not None:
@@ -189,12 +190,23 @@ class Tally:
                 np.where(
                     limits.images < orders - 1,
                     left_out.images,
-                    np.where(self._has_more_images, beyond.images, 0.0),
+                    fine.beyond_all_images(beyond.images),
                 ),
             ),
             self.left_out(fewer),
             _SURE * undivided,
         )
+
+    def beyond_all_images(self, last: Array) -> Array:
+        """Bound of what more reflections at large surfaces than those of any image add, by that of
+        the ``last`` ones, (n_bodies,).
+        """
+        _, bounces, orders = self._shape
+        before = self._beyond(range(bounces), range(max(orders - 2, 0), orders - 1))
+        ratio = np.minimum(last / np.maximum(before, 1e-300), _ENDLESS)
+        of_room = last / np.sqrt(1 - ratio**2)
+        further: Array = np.where(self._further_images > 1, of_room, last)
+        return np.where(self._further_images > 0, further, 0.0)
 
     def left_out(self, limits: Limits) -> Bounds:
         """Bounds of what limits leave out of the reflections that were followed."""

@@ -21,10 +21,11 @@ _SAMPLES = 256  # points of a patch that rays are sent to
 _FIRST = 16  # every so many of them first: most patches that are seen at all are seen there
 _RAYS_AT_ONCE = 2**18  # some 100 MB
 #: From the radar and so many images on, no images of more than one reflection are looked for where
-#: bounds decide: paths between all pairs of these take minutes, as in a city.
-MANY_IMAGES = 32
-#: Times as many, from which on none of more than three reflections are looked for.
-FURTHER = 4
+#: bounds decide: paths between all pairs of these take minutes, as in a city. In a room of six
+#: walls there are 37 of up to two.
+MANY_IMAGES = 40
+#: Images from which on, likewise, none of more than three reflections are looked for.
+FURTHER = 128
 _ASIDE = 1e-3  # of the path's length: how far beside a mirror the return path may pass
 
 
@@ -102,7 +103,7 @@ def images(
     Patches that receive least power are left out while the amplitude of all echoes over them,
     relative to the sent wave before losses, stays below ``limit``. Where there are more than
     ``many`` images of up to two reflections, only those of one are found; of more than three
-    reflections none by which there would be more than `FURTHER` times as many.
+    reflections none by which there would be more than ``many`` and `FURTHER`.
     """
     images_so_far = [Image((), radar[None])]
     newest, left_out = images_so_far, 0.0
@@ -127,7 +128,7 @@ def images(
             for row, number in zip(rows[reached].tolist(), numbers[reached].tolist(), strict=True)
         ]
         # The third tells to which objects paths by more than two reflections lead.
-        most = {1: many, 2: np.inf}.get(done, FURTHER * many)
+        most = {1: many, 2: np.inf}.get(done, max(FURTHER, many))
         if len(images_so_far) + len(newest) > most:
             return Found(images_so_far, left_out, True)
         left_out += faint
