@@ -24,6 +24,7 @@ from hardware.errors import InputError
 from hardware.formatting import with_error
 from hardware.radar import Cfar, MapNoise, cfar_threshold, range_doppler
 from hardware.radar.angles import compensate_motion, direction
+from hardware.radar.array_plane import ArrayPlane
 from hardware.radar.burst import demodulate, tdm_schedule
 from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.clutter import without_leakage, without_static
@@ -315,6 +316,7 @@ def test_azimuth_and_elevation_of_a_planar_array() -> None:
 def test_angle_errors_reach_the_cramer_rao_bound() -> None:
     """300 runs at 20 dB on each of 8 channels; the relative spread of the RMSE is 4 %."""
     burst = demodulate(cube(WIDE, [from_above(4.0, 0.0)], **MIMO))
+    plane = ArrayPlane.of(burst)
     rng = np.random.default_rng(5)
     errors, told = [], []
     places = np.arange(8) / 2
@@ -322,7 +324,7 @@ def test_angle_errors_reach_the_cramer_rao_bound() -> None:
         sine = rng.uniform(-0.9, 0.9)
         echo = np.exp(2j * np.pi * (places * sine + rng.uniform()))
         noise = rng.normal(size=(8, 2)).view(np.complex128)[..., 0] / np.sqrt(200)
-        way = direction(echo + noise, burst, 0.0, ChannelNoise.white(8, 0.01))
+        way = direction(echo + noise, burst, 0.0, ChannelNoise.white(8, 0.01), plane)
         if way.delay_rate == 0:
             errors.append(way.left - sine)
             told.append(way.left_error)
