@@ -58,8 +58,8 @@ class ClockModel:
 
     def host_ns(self, device_ns: int) -> int:
         """Host time of a device time."""
-        since = (device_ns - self.offset_ns - self.reference_ns) / (1 + self.drift)
-        return self.reference_ns + round(since)
+        since = device_ns - self.offset_ns - self.reference_ns  # whole ns: floats are too coarse
+        return self.reference_ns + since - round(since * self.drift / (1 + self.drift))
 
     def device_ns(self, host_ns: int) -> int:
         """Device time of a host time."""

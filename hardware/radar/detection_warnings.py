@@ -9,17 +9,16 @@ from hardware.radar.array_plane import extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
 from hardware.radar.detection import Detection
-from hardware.radar.integrity import weakest_branch
 from hardware.radar.k_distribution import ClutterFit
 from hardware.radar.range_doppler import RangeDopplerMap
 from hardware.radar.rate_evidence import fastest_resolved
+from hardware.radar.receivers import LEAST_NOISE, branch_scatter, noise_in_counts
 from hardware.radar.settings import Processing
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
-_LEAST_NOISE = 0.5  # counts rms of a branch, rounding included: 0.29 of it
 _FEW_COUNTS = 4.0  # rms of a branch: echoes of 5 counts are within 0.1 dB
 
 
@@ -162,8 +161,8 @@ def left_to_rounding(
     echoes. ``noise_w``: of a cell without a window.
     """
     n_samples = interval.channel.shape[-2] * interval.channel.shape[-1]
-    noise = np.sqrt(noise_w * n_samples / 2) / record.front_end.root_watt_per_count
-    if not (0 < noise < _LEAST_NOISE and weakest_branch(record, burst) < _FEW_COUNTS):
+    noise = noise_in_counts(noise_w / record.front_end.root_watt_per_count**2, n_samples)
+    if not (0 < noise < LEAST_NOISE and branch_scatter(record.iq[burst]).min() < _FEW_COUNTS):
         return []
     return [
         f"burst {burst}: noise of {noise:.2g} counts in samples of a few: levels are left to "

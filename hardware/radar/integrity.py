@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_index
+from hardware.radar.receivers import check_receivers, silent_slots
 from hardware.records.container import Flag, unknown_flags
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
 _RAIL = 32767
-_SOME = 2**16  # samples of a branch that are looked at
 _CLOCK = 0.01  # of a slot, by which its start may be off
 #: What leaves a slot without the samples of its time, and its name in messages.
 _WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lost"}
@@ -39,13 +39,15 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     Slots behind a lost one are left out with it: in the gap's place the transforms would take zeros
     for echoes, which lowers levels and raises side lobes.
 
-    Raises InputError where there is no such part, and for a burst that the record does not have.
+    Raises InputError where there is no such part, for receivers that hold nothing of their own in
+    it, see `check_receivers`, and for a burst that the record does not have.
     """
     check_index("burst", burst, len(record.iq))
     n_steps, n_slots = record.flags[burst].shape
     lost = _lost(record, burst)
     warnings = _levels(record, burst)
     if not lost.any():
+        check_receivers(burst, record.iq[burst], record.waveform)
         return UsablePart(n_steps, n_slots, True, tuple(warnings))
     step, slot = (int(i) for i in np.unravel_index(np.argmax(lost), lost.shape))
     flags = int(record.flags[burst, step, slot])
@@ -55,6 +57,7 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     where = f"burst {burst}, step {step}, slot {slot}: {why}"
     if n_slots < 2 * len(record.front_end.transmitters_m):
         raise InputError(f"{where}; too little comes before it")
+    check_receivers(burst, record.iq[burst, :n_steps, :n_slots], record.waveform)
     done = f"the {n_steps} steps before it" if step else f"the {n_slots} slots before it"
     return UsablePart(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
 
@@ -76,21 +79,10 @@ def _levels(record: "RadarRecord", burst: int) -> list[str]:
     if highest == lowest == 0:
         return [f"burst {burst}: IQ is all zero"]
     warnings = [f"burst {burst}: {told}" for told in unknown_flags(flags, "slots")]
-    silent = int(np.sum(~iq.any(axis=(2, 3, 4))))
-    if silent:
-        warnings.append(f"burst {burst}: IQ of {silent} slots is all zero")
+    warnings += silent_slots(burst, iq)
     if told := saturation(record, burst):
         warnings.append(told)
     return warnings
-
-
-def weakest_branch(record: "RadarRecord", burst: int) -> float:
-    """Scatter of the samples of the branch of a receiver that has least, counts rms; of at most
-    some of them.
-    """
-    iq = record.iq[burst]
-    branches = np.moveaxis(iq, (2, 4), (0, 1)).reshape(iq.shape[2] * 2, -1)
-    return float(branches[:, :: max(1, branches.shape[1] // _SOME)].std(axis=1).min())
 
 
 def saturation(record: "RadarRecord", burst: int) -> str:

@@ -65,12 +65,17 @@ def write_spectrogram(path: Path, seen: Spectrogram) -> None:
             writer.writerow([f"{rate:.6g}", *map("{:.2f}".format, row)])
 
 
-_HEAD = ("range", "range rate", "azimuth", "SNR", "cross-section", "")
+_HEAD = ("range", "range rate", "azimuth", "elevation", "SNR", "cross-section", "")
 
 
 def table_rows(detections: Sequence[Detection], most: int = 20) -> Iterable[str]:
-    """Detections as a table for a terminal, each value with its standard error."""
-    rows = [_HEAD, *(_cells(detection) for detection in detections[:most])]
+    """Detections as a table for a terminal, each value with its standard error; elevations where
+    any of them has one.
+    """
+    shown = detections[:most]
+    rows = [_HEAD, *(_cells(detection) for detection in shown)]
+    if all(np.isnan(detection.elevation_rad) for detection in shown):
+        rows = [tuple(row[:3] + row[4:]) for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         aligned = (f"{text:>{width}}" for text, width in zip(row, widths, strict=True))
@@ -81,18 +86,22 @@ def table_rows(detections: Sequence[Detection], most: int = 20) -> Iterable[str]
 
 def _cells(d: Detection) -> tuple[str, ...]:
     """Texts under the head; a dash for what is not measured."""
-    azimuth = with_error(np.degrees(d.azimuth_rad), np.degrees(d.azimuth_error_rad), "deg")
     return (
         _known(d.range_m, with_error(d.range_m, d.range_error_m, "m")),
         _known(
             d.range_rate_m_per_s,
             with_error(d.range_rate_m_per_s, d.range_rate_error_m_per_s, "m/s"),
         ),
-        _known(d.azimuth_rad, azimuth),
+        _angle(d.azimuth_rad, d.azimuth_error_rad),
+        _angle(d.elevation_rad, d.elevation_error_rad),
         f"{d.snr_db:.1f} dB",
         _known(d.rcs_m2, _cross_section(d)),
         _alternatives(d),
     )
+
+
+def _angle(angle_rad: float, error_rad: float) -> str:
+    return _known(angle_rad, with_error(np.degrees(angle_rad), np.degrees(error_rad), "deg"))
 
 
 def _cross_section(d: Detection) -> str:
@@ -108,10 +117,19 @@ def _known(value: float, text: str) -> str:
 
 def _alternatives(detection: Detection) -> str:
     rates = ", ".join(f"{rate:+.3f}" for rate in detection.range_rate_alternatives_m_per_s)
-    name, others_rad = "azimuth", detection.azimuth_alternatives_rad
-    if np.isnan(others_rad).any():  # of an upright array
-        name, others_rad = "elevation", detection.elevation_alternatives_rad
-    angles = ", ".join(f"{np.degrees(angle):+.1f}" for angle in others_rad)
+    by_name = {
+        "azimuth": detection.azimuth_alternatives_rad,
+        "elevation": detection.elevation_alternatives_rad,
+    }
+    told = {
+        name: np.degrees(each)
+        for name, each in by_name.items()
+        if each and not np.isnan(each).any()
+    }
+    name = "/".join(told)
+    angles = ", ".join(
+        "/".join(f"{angle:+.1f}" for angle in both) for both in zip(*told.values(), strict=False)
+    )
     return "; ".join(
         [f"rate ambiguous, or {rates} m/s"] * bool(rates)
         + [f"{name} ambiguous, or {angles} deg"] * bool(angles)

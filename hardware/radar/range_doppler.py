@@ -30,11 +30,12 @@ class RangeDopplerMap(Described):
     """Received power by delay and delay rate, that is by range and range rate.
 
     ``power_w`` (n_ranges, n_rates): a single target at a cell's centre has the power that one
-    antenna received from it, mean over ``n_channels``. ``delay_s`` and ``range_m`` (n_ranges,)
-    ascend from 0; ``delay_rate``, in s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive
-    when the target recedes. ``noise_w``: mean noise power of a cell, by the map's median: too
-    high, and SNRs too low, where echoes fill much of the map (1.6 dB with clutter at two fifths of
-    all delays in 4 slots, 0.2 dB in 64); ``noise_error_w``: its standard error, if the noise
+    antenna received from it, mean over ``n_channels``, fewer than the array's where some have no
+    noise, see `whiten`. ``delay_s`` and ``range_m`` (n_ranges,) ascend from 0; ``delay_rate``, in
+    s/s, and ``range_rate_m_per_s`` (n_rates,) ascend, positive when the target recedes.
+    ``noise_w``: mean noise power of a cell, by the map's median: too high, and SNRs too low, where
+    echoes fill much of the map (1.6 dB with clutter at two fifths of all delays in 4 slots, 0.2 dB
+    in 64); ``noise_error_w``: its standard error, if the noise
     is white. ``oversampling``: cells per resolution cell along each axis.
 
     ``effective_looks``: number of independent channels with the same variance of the noise. Where
@@ -105,14 +106,14 @@ def range_doppler(
     parts = channel.reshape(-1, n, m)
     images, looks = whiten([complex_map(part, window, oversampling) for part in parts])
     power = mean_power(images)
-    noise_w = noise_level(power, len(parts))
+    noise_w = noise_level(power, len(images))
     return RangeDopplerMap(
         power_w=power,
         delay_s=np.arange(across) * (waveform.delay_cell_s / oversampling),
         delay_rate=(np.arange(along) - (along - 1) // 2)
         * (waveform.delay_rate_cell / oversampling),
         noise_w=noise_w,
-        n_channels=len(parts),
+        n_channels=len(images),
         oversampling=oversampling,
         effective_looks=looks,
         relative_noise=_through_window(relative_noise, window, oversampling),

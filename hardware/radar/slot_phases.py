@@ -116,7 +116,7 @@ def with_spread_of_others(
     which then counts twice: without this term errors of power are 1.5 to 1.9 times too small, with
     it 1.0 to 1.3 times.
     """
-    if not variance:
+    if not variance or not echoes:
         return list(echoes)
     same_turn = burst.tdm_offset_s[:, None] == burst.tdm_offset_s
     amplitude = np.array([echo.amplitude for echo in echoes])

@@ -77,13 +77,15 @@ class Heads:
             at, skipped = end, 0
 
     def _cut_off(self, at: int) -> Iterator[Head]:
-        """The last record, of which no more is there; none where a file system left zeros."""
+        """The last record, of which no more is there, from its head on; none where a file system
+        left zeros.
+        """
         with mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             if not re.compile(rb"[^\x00]").search(content, at):
                 return
-        head = self._stated(at)
-        is_right = head is not None and self._is_right(head)
-        yield Head(head.kind if head and is_right else 0, at + HEAD_BYTES, self._size)
+        head = self._stated(at)  # None where not even the length is there: the kind is
+        kind = self._read(at, 1)[0] if head is None or self._is_right(head) else 0
+        yield Head(kind, at, self._size)
 
     def _stated(self, at: int) -> Head | None:
         """What the bytes at an offset say, right or wrong; None where they are too few."""

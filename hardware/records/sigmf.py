@@ -102,8 +102,9 @@ def _turns(record: RadarRecord) -> str:
 
 
 def _utc(time_ns: int) -> str:
-    """ISO 8601 of a host's time, to the microsecond."""
-    return (_EPOCH + timedelta(microseconds=time_ns // 1000)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    """ISO 8601 of a host's time, to the nanosecond."""
+    seconds, nanoseconds = divmod(time_ns, 10**9)
+    return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
 
 
 def _flagged(flags: NDArray[np.uint8]) -> Iterator[tuple[int, int, int]]:

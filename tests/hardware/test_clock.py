@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from hardware.drivers.clock import ClockFilter
+from hardware.drivers.clock import ClockFilter, ClockModel
 
 
 def exchanges(
@@ -196,3 +196,12 @@ def test_a_device_that_answers_late_by_a_fast_clock_is_no_fault() -> None:
         for t in range(sent, sent + 300_000_000, 10_000_000):
             off = model.host_ns(round(t * (1 + drift))) - start - t
             assert abs(off) <= model.error_ns
+
+
+@pytest.mark.parametrize("drift", [0.0, 3e-5, -3e-5])
+def test_times_far_from_the_reference_are_whole_nanoseconds(drift: float) -> None:
+    """Of a clock that counts from 1970: floats had rounded them to 256 ns."""
+    clock = ClockModel(1_799_999_990_000_000_000, -1_800_000_000_000_000_000, drift, 0.0)
+    for device_ns in (1_014_400, 4_043_201):
+        assert clock.device_ns(clock.host_ns(device_ns)) == pytest.approx(device_ns, abs=1)
+    assert ClockModel(0, clock.offset_ns, 0.0, 0.0).host_ns(1_014_400) - 18 * 10**17 == 1_014_400

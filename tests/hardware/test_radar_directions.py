@@ -162,6 +162,20 @@ def test_of_an_upright_array_elevations_are_printed() -> None:
     assert "elevation ambiguous, or +5.7, -11.5 deg" in list(table_rows([upright]))[1]
 
 
+def test_elevations_are_a_column_where_an_array_tells_them() -> None:
+    """The command printed none. A detection without one has a dash."""
+    line = ambiguous()
+    plane = replace(line, elevation_rad=0.05, elevation_error_rad=0.01)
+    plane = replace(plane, elevation_alternatives_rad=(0.2,))
+    head, first, second = table_rows([plane, line])
+    assert head.split()[3:6] == ["azimuth", "elevation", "SNR"]
+    end = head.index("elevation") + len("elevation")
+    assert first[:end].endswith("5.73 ± 0.57 deg  2.86 ± 0.57 deg")
+    assert first.endswith("azimuth/elevation ambiguous, or -22.9/+11.5 deg")
+    assert second[:end].endswith("deg                -")
+    assert "elevation" not in "".join(table_rows([line]))
+
+
 def test_a_track_does_not_begin_in_one_of_several_directions() -> None:
     """Once a clear detection has told where it is, an ambiguous one continues the track by the
     alternative that fits.

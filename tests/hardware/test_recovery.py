@@ -73,6 +73,23 @@ def of_chunks(path: Path, n: int = 4, patterns: PatternSet | None = None) -> lis
     return chunks
 
 
+def test_a_cut_within_the_head_of_a_record_loses_what_is_there_of_it(tmp_path: Path) -> None:
+    """Of a chunk all bytes from its head on, of an index of messages nothing. Of the first 8 bytes
+    of either "lost: -7 bytes" had been told, of 9 of a chunk none.
+    """
+    path = tmp_path / "log.mcap"
+    chunks = of_chunks(path)
+    whole = path.read_bytes()
+    begin, end = chunks[-1]
+    for at, is_lost in ((begin - 9, True), (end, False)):
+        for n_bytes in range(1, 20):
+            path.write_bytes(whole[: at + n_bytes])
+            ending = Ending()
+            list(read_messages(path, ending))
+            assert ending.lost_bytes == (n_bytes if is_lost else 0)
+            assert ending.fault == "it ends within a record"
+
+
 @pytest.mark.parametrize("broken", [0, 1, 3])
 def test_a_broken_chunk_takes_none_of_the_others_with_it(tmp_path: Path, broken: int) -> None:
     """One bit of a chunk of four: the three others are read and recovered bit for bit, also where

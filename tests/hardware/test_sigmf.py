@@ -72,9 +72,9 @@ def test_sigmf_has_receivers_as_channels_and_says_what_is_wrong_with_slots(tmp_p
     since_ns = record.device_time_ns[:, :, 0].ravel()
     places = [round(1e-9 * int(ns) * STEP.bandwidth_hz) for ns in since_ns]
     assert [one["core:global_index"] for one in captures] == places
-    begun = [int(ns) // 1000 for ns in since_ns]
+    assert np.any(since_ns % 1000)  # microseconds are too coarse
     assert [one["core:datetime"] for one in captures] == [
-        f"2027-01-15T08:00:00.{us:06d}Z" for us in begun
+        f"2027-01-15T08:00:00.{int(ns):09d}Z" for ns in since_ns
     ]
     notes = [
         (one["core:sample_start"], one["core:sample_count"], one["core:label"])
