@@ -323,9 +323,7 @@ def test_angle_errors_reach_the_cramer_rao_bound() -> None:
         sine = rng.uniform(-0.9, 0.9)
         echo = np.exp(2j * np.pi * (places * sine + rng.uniform()))
         noise = rng.normal(size=(8, 2)).view(np.complex128)[..., 0] / np.sqrt(200)
-        way = direction(
-            echo + noise, burst, 0.0, ChannelNoise.white(8, 0.01), ArrayPlane.of(burst)
-        )
+        way = direction(echo + noise, burst, 0.0, ChannelNoise.white(8, 0.01), ArrayPlane.of(burst))
         if way.delay_rate == 0:
             errors.append(way.left - sine)
             told.append(way.left_error)
