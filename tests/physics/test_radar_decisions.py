@@ -158,16 +158,16 @@ def test_images_beyond_the_last_are_bounded_where_there_are_any() -> None:
     )
     assert decided(corner, "reflections at large surfaces", "ball") == (2, 0.0)
     most, bound = decided(corridor, "reflections at large surfaces", "ball")
-    assert most == 2
+    assert most == 3
     assert bound > 0.01
 
 
 def test_what_is_not_followed_is_warned_of() -> None:
-    """A third reflection at the walls of a corridor may add more than is permitted."""
+    """A fourth reflection at the walls of a corridor may add more than is permitted."""
     taken = radar_capture(between_walls(), RADAR, fidelity=BY_BOUNDS)
     (warning,) = (w for w in taken.warnings if w.kind == "tolerance")
     assert warning.startswith(
-        "reflections at large surfaces beyond 2, ball: not computed; at most "
+        "reflections at large surfaces beyond 3, ball: not computed; at most "
     )
     alone = radar_capture(world(ball("ball", (8, 0, 0), level=4)), RADAR, fidelity=BY_BOUNDS)
     assert [w for w in alone.warnings if w.kind == "tolerance"] == []
