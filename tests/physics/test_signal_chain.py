@@ -16,6 +16,7 @@ from hardware import reconstruct
 from hardware.patterns import PatternSet
 from tests.still import still_yard
 from twin.camera import capture
+from twin.camera import chain as chain_module
 from twin.camera.chain import Chain
 from twin.camera.filtered import share_of_cells, sun_of_parts
 from twin.camera.illumination import (
@@ -362,6 +363,31 @@ def test_a_part_has_the_mean_of_the_sun_behind_the_filter_over_it() -> None:
 
     expected = mean_by_brute_force(sun_at, 4, 0.0, emitter=False)
     np.testing.assert_allclose(sun_of_parts(seen_wall(4, 0.0), band), expected, rtol=1e-3)
+
+
+def test_what_the_filter_passes_is_found_once_for_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other light from the same view needs no other means; another detector or depth does."""
+    made = load_system("workable")
+    n = math.isqrt(made.patterns.n_cells)
+    walls = [seen_wall(n, 0.0), seen_wall(n, -0.05)]
+    walls.append(replace(walls[0], truth=replace(walls[0].truth, depth_m=np.full((n, n), 3.0))))
+    asked: list[str] = []
+
+    def counted(name: str):
+        known = getattr(chain_module, name)
+        return lambda *given: asked.append(name) or known(*given)
+
+    for name in ("share_of_cells", "sun_of_parts"):
+        monkeypatch.setattr(chain_module, name, counted(name))
+    chain = Chain.of(made, load_scene("yard").sun)
+    for _ in range(2):
+        for wall in (walls[0], replace(walls[0], sun=2 * walls[0].sun)):
+            chain.powers(wall)
+    assert sorted(asked) == ["share_of_cells", "sun_of_parts"]
+    collected, band = chain.lens.transmission * chain.lens.pupil_area_m2, chain.sky
+    for wall in walls:
+        assert (chain.passed(wall) == share_of_cells(wall, band).reshape(1, -1)).all()
+        assert (chain.sun_weight(wall) == collected * sun_of_parts(wall, band)).all()
 
 
 def test_a_band_that_does_not_change_is_taken_at_the_middle_of_cells() -> None:

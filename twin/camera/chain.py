@@ -1,5 +1,6 @@
 """From light to counts: the part of a camera that depends on neither scene nor pose."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -139,7 +140,24 @@ class Chain:
 
     def passed(self, rendered: "RenderedLight") -> Array:
         """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
+        view = rendered.truth, rendered.emitter, rendered.detector
+        return self._of_view("cells", view, lambda: self._passed(rendered))
+
+    def _passed(self, rendered: "RenderedLight") -> Array:
         return _by_detector(share_of_cells(rendered, self.sky), self.system)
+
+    def _of_view(self, what: str, view: tuple[object, ...], found: Callable[[], Array]) -> Array:
+        """What is found of a view; asked again of the same objects it is not computed anew."""
+        known = self._known.get(what)
+        if known is None or any(a is not b for a, b in zip(known[0], view, strict=True)):
+            known = self._known[what] = view, found()
+            known[1].flags.writeable = False
+        return known[1]
+
+    @cached_property
+    def _known(self) -> dict[str, tuple[tuple[object, ...], Array]]:
+        """Views, and what was found of them."""
+        return {}
 
     def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
@@ -193,7 +211,10 @@ class Chain:
     def sun_weight(self, rendered: "RenderedLight") -> Array:
         """That power per unit of each part of `RenderedLight.sun`."""
         collected = self.lens.transmission * self.lens.pupil_area_m2
-        return collected * sun_of_parts(rendered, self.sky)
+        parts = f"sun in {rendered.sun.shape}"
+        return self._of_view(
+            parts, (rendered.detector,), lambda: collected * sun_of_parts(rendered, self.sky)
+        )
 
     def _sun_error(self, rendered: "RenderedLight") -> Array:
         """Standard error of that power, (n_detectors,)."""

@@ -155,16 +155,27 @@ class PermittedError:
         if self.fidelity.light_tolerance is None or chain.system.patterns.mode != "differential":
             return relative * total
         each = sun.size / total.size
-        bright_w, sun_w = (
-            chain.sun_power(replace(self.rendered, sun=x))
-            for x in (np.full_like(sun, largest), sun)
-        )
-        bright, now, unlit = map(self._dark_variance, (bright_w, sun_w, np.zeros_like(sun_w)))
+        now = self._dark_variance(sun)
         with np.errstate(divide="ignore"):
-            return np.asarray(relative * now * each * largest / (bright - unlit))
+            return np.asarray(relative * now * each * largest / self._added_by(sun.shape, largest))
 
-    def _dark_variance(self, sun_w: Array) -> Array:
-        """Of exposures without the emitter's light, by detector."""
+    def _added_by(self, shape: tuple[int, ...], largest: float) -> Array:
+        """What sunlight of the ``largest`` level everywhere adds to `_dark_variance`; asked again
+        it is not computed anew.
+        """
+        if largest not in self._added:
+            bright, unlit = (self._dark_variance(np.full(shape, x)) for x in (largest, 0.0))
+            self._added[largest] = bright - unlit
+        return self._added[largest]
+
+    @cached_property
+    def _added(self) -> dict[float, Array]:
+        """What `_added_by` found, by level."""
+        return {}
+
+    def _dark_variance(self, sun: Array) -> Array:
+        """Of exposures of the sun's light alone, by detector."""
+        sun_w = self.chain.sun_power(replace(self.rendered, sun=sun))
         dark = np.zeros((1, len(self.chain.shutters), self.chain.system.n_detectors))
         budgets = self.chain.noise_by_detector(dark, sun_w)
         return np.array([budget.total_noise_e**2 for budget in budgets])
