@@ -203,6 +203,9 @@ def show(
     from twin.sweep.front import all_points, write_rows
     from twin.sweep.show import plot_front, plot_plane
 
+    for option, file in {"csv": csv, "out": out, "save": save}.items():
+        if file == Path():
+            raise InputError(f"--{option}: is empty, expected a file to write")
     with _damage_told(say):
         data = open_sweep(sweep)
     needs_picture = metric is not None or out is not None or csv is None

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from twin.fidelity import Accuracy, Tolerance
-from twin.files import InputError, locked
+from twin.files import InputError, check_out, locked
 from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels, warned_points
@@ -112,6 +112,7 @@ def run_sweep(
     if workers is not None and workers < 0:
         raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
+    check_out(out)
     out = folder_of(study, out)
     inputs = inputs_of(study)
     try:
