@@ -82,14 +82,18 @@ def sweep(
         renders=done.renders,
         results=results,
         without_effect=done.without_effect,
-        reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
+        reasons=[
+            {"reason": reason, "points": n, "first": done.failed[reason]}
+            for reason, n in done.reasons
+        ],
     )
     for kind, n in done.warned:
         say.warn(f"{kind}: {counted(n, 'point')}, the first: {done.words[kind]}")
     if done.without_effect:
         say.warn(f"no metric changes with {', '.join(done.without_effect)}")
     for reason, n in done.reasons[:_REASONS]:
-        print(f"failed: {counted(n, 'point')}: {reason}", file=sys.stderr)
+        which = f"{counted(n, 'point')}, the first {done.failed[reason]}"
+        print(f"failed: {which}: {reason}", file=sys.stderr)
     if len(done.reasons) > _REASONS:
         print(f"failed: {len(done.reasons) - _REASONS} more reasons: error", file=sys.stderr)
     if done.n_failed:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hardware.formatting import setting_text
 from twin.fidelity import Accuracy, Tolerance
 from twin.files import InputError, check_out, locked
 from twin.progress import interrupts, tell
@@ -38,7 +39,8 @@ _MANY = 10_000_000
 class Summary:
     """What a sweep did.
 
-    ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
+    ``reasons``: why points failed, with how many each, most first; ``failed``: the first of each
+    reason, its number with its parameters. ``warned``: by kind, how many
     points a warning was given of, fewest first; ``words``: the first of each kind.
     ``without_effect``: parameters along which no metric changed. ``n_coarse``: points that cannot
     be on the study's front, left at a coarse tolerance; None where all are computed as asked.
@@ -50,6 +52,7 @@ class Summary:
     n_void: int
     renders: int
     reasons: tuple[tuple[str, int], ...] = ()
+    failed: Mapping[str, str] = field(default_factory=dict)
     warned: tuple[tuple[str, int], ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     without_effect: tuple[str, ...] = ()
@@ -162,6 +165,9 @@ def folder_of(study: Study, out: str | Path | None) -> Path:
 def _summary(store: Store) -> Summary:
     found, progress = store.dataset(), store.progress
     warned = warned_points(found)
+    first: dict[str, int] = {}
+    for index, reason in sorted(progress.errors.items()):
+        first.setdefault(reason, index)
     return Summary(
         out=store.out,
         n_points=store.study.n_points,
@@ -169,11 +175,19 @@ def _summary(store: Store) -> Summary:
         n_void=found.attrs["points_void"],
         renders=progress.renders,
         reasons=tuple(Counter(progress.errors.values()).most_common()),
+        failed={reason: _point_in_words(store.study, index) for reason, index in first.items()},
         warned=tuple((one.kind, len(one.points)) for one in warned),
         words={one.kind: one.words for one in warned},
         without_effect=tuple(without_effect(found)),
         n_coarse=found.attrs.get("points_coarse"),
     )
+
+
+def _point_in_words(study: Study, index: int) -> str:
+    """Number of a point, with what varies."""
+    varied = [name for axis in study.axes for name in axis.columns]
+    values = study.point(index)
+    return f"{index}: " + ", ".join(f"{n} = {setting_text(n, values[n])}" for n in varied)
 
 
 def _of_all_passes(
