@@ -271,6 +271,29 @@ def test_a_value_that_no_point_may_have_is_told_before_any_point(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (f'[{table}]\n"system.optics.f_number" = {given}\n', f"{table}.system.optics.f_number")
+        for table in ("grid", "zip")
+        for given in ('[["1 mm", "2 mm"], ["3 mm"]]', "2", '"2"', "{ a = 1 }", "1979-05-27")
+    ],
+)
+def test_what_is_no_list_of_values_is_told_in_a_short_line(
+    tmp_path: Path, text: str, place: str
+) -> None:
+    """Lists within lists had been told with every type that a value may have, each."""
+    place, text = place.replace("zip", "zip.0"), text.replace("[zip]", "[[zip]]")
+    with pytest.raises(InputError, match=rf"study\.toml: {place}.*: expected a list of values$"):
+        load_study(write(tmp_path, text, SMALL))
+
+
+def test_what_is_set_is_a_single_value(tmp_path: Path) -> None:
+    text = 'scene = "yard"\nmetrics = ["snr_median"]\n[set]\n"system.optics.f_number" = [1, 2]\n'
+    with pytest.raises(InputError, match=r"f_number = \[1, 2\]: expected a single value"):
+        load_study(write(tmp_path, text, ""))
+
+
 def test_of_long_and_drawn_lists_the_ends_are_told(tmp_path: Path) -> None:
     values = [*np.linspace(1, 2, 2000).tolist(), -1.0]
     drawn = '[sample]\nmethod = "sobol"\nn = 64\n[sample.ranges]\n"system.optics.f_number" = '
