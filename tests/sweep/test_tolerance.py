@@ -1,6 +1,7 @@
 """Sweeps to a tolerance: who shares a render, how fine it is, and what says the tolerance."""
 
 import math
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -273,6 +274,29 @@ def test_the_command_takes_a_tolerance_or_a_time(
     assert "2 points" in sweep(*stated)
     found = [open_sweep(tmp_path / name).attrs["study"] for name in ("timed", "stated")]
     assert found[0] == found[1]
+
+
+def test_a_time_is_that_of_the_sensor_for_which_light_is_rendered(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the nine that share the first point's light the one in the dark with the least noise,
+    which is another point's.
+    """
+    from twin.trade.time_limit import TimedFidelity, TimedShare
+
+    timed = []
+
+    def fidelity_within(*args: object, system, **options: object) -> TimedFidelity:
+        timed.append(system)
+        return TimedFidelity(Tolerance(2.0).knobs(), TimedShare(2.0, 0.1), None)
+
+    monkeypatch.setattr("twin.trade.fidelity_within", fidelity_within)
+    words = ["sweep", str(study(SENSORS, HEAD)), "--workers", "0", "--within", "1 s"]
+    monkeypatch.setattr("twin.sweep.run_sweep", lambda *_, **__: sys.exit())  # enough
+    CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    (system,) = timed
+    assert system.readout.read_noise_e.value == 1e3
+    assert system.sky.illuminance_lx.value == 0
 
 
 def test_coarser_knobs_that_a_time_allowed_are_gone_on_with(

@@ -135,8 +135,9 @@ def _accuracy_asked(
     tolerance: str | None,
     within: float | None,
 ) -> "Accuracy | None":
-    """What the options ask for. What a time allows is measured on the first point, unless the
-    folder has it; what a score takes is looked for there each time, and is the same each time.
+    """What the options ask for. What a time allows is measured on the first point, with the sensor
+    for which its light is rendered, unless the folder has it; what a score takes is looked for
+    there each time, and is the same each time.
     """
     from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import named_in, with_accuracy
@@ -144,16 +145,18 @@ def _accuracy_asked(
     from twin.sweep.plan import stored_accuracy
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
+    from twin.sweep.shared_light import strictest_sharing
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
     of_score = scores_asked(tolerance)
     if within is None and of_score is None:
         return asked or fidelity
-    with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
+    to_share = with_accuracy(study, DEFAULT_SHARE)  # refused before time is spent
     if within is not None and (knobs := stored_accuracy(folder_of(study, out))):
         return knobs
-    first = setup(study, study.point(0), inputs_of(study))
+    inputs = inputs_of(study)
+    first = setup(study, study.point(0), inputs)
     scene, system, radar = first.scene, first.system, first.radar
     # A study assumes that nothing moves during a frame unless it names a tolerance of that.
     fixed = {"motion_tolerance": None, **{n: getattr(first.fidelity, n) for n in named_in(study)}}
@@ -162,7 +165,8 @@ def _accuracy_asked(
         bandwidth_hz = radar.total_bandwidth_hz if radar else None
         return knobs_for_scores(say, lambda: scene, of_score, system, fixed, bandwidth_hz)
     assert within is not None
-    return knobs_within(say, lambda: scene, system, radar, within, fixed)
+    strictest = strictest_sharing(to_share, 0, inputs)
+    return knobs_within(say, lambda: strictest.scene, strictest.system, radar, within, fixed)
 
 
 def show(
