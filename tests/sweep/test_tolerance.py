@@ -23,6 +23,7 @@ from twin.sweep import Study, load_study, open_sweep, run_sweep, shared_light
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.inputs import Held, inputs_of
+from twin.sweep.run import points_in_a_run
 from twin.sweep.setup import setup
 
 #: Knobs of a study that names none.
@@ -75,6 +76,32 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     alone = capture(made.scene, made.system, fidelity=STILL, seed=made.seed)
     counts = outcome_of(plan, strictest, inputs).capture.record.counts
     np.testing.assert_array_equal(counts, alone.record.counts)
+
+
+def test_points_that_share_light_are_of_one_run() -> None:
+    """Of the how-to's walls, 18 points in each of two airs: runs of 16 had made two workers render
+    each light. Sets of fewer points are whole in a run; larger ones are divided, so that no worker
+    waits, and so are those of fewer renders than workers.
+    """
+
+    def run_of(n_workers: int | None, n: int = 9, **fidelity: float | str) -> int:
+        study = Study(
+            name="walls",
+            metrics=["psnr_db"],
+            set={f"fidelity.{name}": value for name, value in fidelity.items()},
+            grid={
+                "system.readout.read_noise_e": [float(1 + i) for i in range(n)],
+                "weather.part": ["clear-air", "fog-200m"],
+                "processing.method": ["zero-fill", "lmmse"],
+            },
+        )
+        assert study.n_points == 4 * n
+        return points_in_a_run(study, n_workers)
+
+    assert run_of(2) == run_of(1) == 18
+    assert (run_of(1, 3), run_of(2, 3)) == (12, 6)  # both sets of six; one for each worker
+    assert run_of(2, motion_tolerance="none") == 18
+    assert {run_of(3), run_of(None), run_of(2, 17), run_of(2, motion_tolerance=0.1)} == {16}
 
 
 @pytest.mark.thorough

@@ -28,10 +28,19 @@ from twin.sweep.names import is_own
 from twin.sweep.refinement import coarse_study
 from twin.sweep.store import Points, Store, create_or_resume
 from twin.sweep.study import Study, load_study
-from twin.sweep.workers import SchedulerGoneError, Submit, WorkerDiedError, dask, here
+from twin.sweep.workers import (
+    SchedulerGoneError,
+    Submit,
+    WorkerDiedError,
+    dask,
+    here,
+    n_cores,
+)
 
 #: Points in a run: what a kill loses at most, for each worker.
 _RENDERED_CHUNK, _CLOSED_CHUNK = 16, 32_768
+#: More in a run where they share light.
+_MOST_SHARING = 2
 _MANY = 10_000_000
 
 
@@ -115,6 +124,7 @@ def run_sweep(
     if workers is not None and workers < 0:
         raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
+    n_workers = None if scheduler else max(1, n_cores() if workers is None else workers)
     check_out(out)
     out = folder_of(study, out)
     inputs = inputs_of(study)
@@ -123,7 +133,7 @@ def run_sweep(
     except InputError as error:
         raise type(error)(f"{study.label}: {error}") from error
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
-    chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
+    chunk = _CLOSED_CHUNK if closed else points_in_a_run(study, n_workers)
     with locked(out, "sweep"):
         store = create_or_resume(study, out, chunk, inputs, labels(study, own))
         store.chosen_for("" if scores is None else str(scores))
@@ -138,6 +148,19 @@ def run_sweep(
                 raise SchedulerGoneError(words) from error
         store.finish()
         return _summary(store)
+
+
+def points_in_a_run(study: Study, n_workers: int | None) -> int:
+    """Points that a worker computes by itself. Where all that may share a render are few, and there
+    are as many renders as workers, a run holds whole sets of them: each is rendered once. Else
+    workers that share such a set each make its render, rather than wait for another. ``n_workers``:
+    None where it is not known.
+    """
+    sharing = study.n_sharing
+    sets, few = study.n_points // sharing, sharing <= _MOST_SHARING * _RENDERED_CHUNK
+    if n_workers is None or not few or sets < n_workers:
+        return _RENDERED_CHUNK
+    return sharing * max(1, min(_RENDERED_CHUNK // sharing, sets // n_workers))
 
 
 def _compute(

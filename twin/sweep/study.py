@@ -19,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from twin.fidelity.knobs import NONE
 from twin.files import InputError
 from twin.sweep.accuracy_names import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
@@ -221,6 +222,16 @@ class Study(Strict):
     def n_points(self) -> int:
         """Points in all."""
         return math.prod(self.shape)
+
+    @property
+    def n_sharing(self) -> int:
+        """Points, one after another, that differ at most in what a new render is not needed for;
+        1 where what moves within a frame is followed, so that each has light of its own.
+        """
+        motion = "fidelity.motion_tolerance"
+        if motion in self.parameters and self.values_of(motion) != [NONE]:
+            return 1
+        return math.prod(len(axis) for axis in self.axes if not axis.is_optical)
 
     def point(self, index: int) -> dict[str, Value]:
         """What is set in a point, by parameter."""

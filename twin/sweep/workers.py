@@ -68,11 +68,16 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
             watch = _Watch(client, scheduler)
             yield Submit(watch.send, watch.result, _AHEAD * watch.wait())
         return
-    cores = len(os.sched_getaffinity(0))
+    cores = n_cores()
     n = workers or cores
     threads = max(1, cores // n)
     with _local(n) as cluster, Client(cluster, set_as_default=False) as client:
         yield Submit(partial(_send, client, _on_threads, threads), _result, _AHEAD * n)
+
+
+def n_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def _local(n: int) -> "LocalCluster":
