@@ -37,11 +37,12 @@ def catalog_folder() -> Path:
 
 
 def check_out(out: str | Path | None) -> None:
-    """Raise InputError for a folder to write to that is named by an empty text; as a path, that is
-    the current folder.
+    """Raise InputError for a folder to write to that is named by an empty text; as a path, which is
+    what a command gets, that is the current folder.
     """
-    named = str(out).strip("." if isinstance(out, Path) else None)
-    if out is not None and not named:
+    if isinstance(out, Path) and out == Path():
+        raise InputError("out: is empty, or the current folder; expected another to write to")
+    if out is not None and not str(out).strip():
         raise InputError("out: is empty, expected a folder to write to")
 
 

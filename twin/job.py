@@ -99,7 +99,7 @@ def run(
     out
         Folder to write to; default ``runs/SCENE-SYSTEM`` with all that is not the default, such as
         ``runs/yard-workable-seed_3``. It appears whole or not at all, and is of this run alone:
-        files of the run before go.
+        files of the run before go, and those of somebody else are never overwritten.
     fidelity
         Knobs, each with the error it bounds; a preset's name; or a `Tolerance`, the error that the
         model may add. Default: `Tolerance()`, light to a fifth of the sensor's noise, each body's
@@ -130,7 +130,7 @@ def run(
     design = None if radar is None else load_radar(radar)
     if not systems and design is None:
         raise InputError("system, radar: both are none, expected at least one of them")
-    check_out(None if out is None else str(out))
+    check_out(out)
     check_seed(seed)
     solve = None if method is None else method_of(method)
     how = Processing(detection=detection)

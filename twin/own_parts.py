@@ -1,6 +1,6 @@
 """A user's own parts in place of modelled ones: code that a system or a radar names."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
@@ -21,21 +21,30 @@ OwnCode = Annotated[
 ]
 
 
-def own_part(field: str, given: str | Callable[..., Any], *arguments: str) -> OwnFunction:
-    """Code that a field names, called with these arguments; installed packages offer theirs as
-    entry points ``twin.SECTION``. Raises InputError naming the field.
+def own_part(field: str, given: str | Callable[..., Any]) -> OwnFunction:
+    """Code that a field names, called with one argument, the section or the whole system; installed
+    packages offer theirs as entry points ``twin.SECTION``. Raises InputError naming the field.
     """
     try:
-        return own_function(given, arguments, group=f"twin.{field.partition('.')[0]}")
+        return own_function(given, ("section",), group=f"twin.{field.partition('.')[0]}")
     except OwnFunctionError as error:
         raise InputError(f"{field}: {error}") from error
+
+
+def check_own_parts(values: Iterable[tuple[str, Any]]) -> None:
+    """Raise InputError for code that a field ``SECTION.function`` names and that is not there, or
+    takes other arguments; it is looked up and not run. ``values``: sourced, by their dotted names.
+    """
+    for field, value in values:
+        if field.endswith(".function"):
+            own_part(field, value.value)
 
 
 def made_by(field: str, given: str | Callable[..., Any], section: Any, kind: type[Any]) -> Any:
     """What a user's code makes of a section. Raises InputError, with what is missing, where that is
     no ``kind``, a protocol.
     """
-    own = own_part(field, given, "section")
+    own = own_part(field, given)
     try:
         made = own(section)
     except OwnFunctionError as error:

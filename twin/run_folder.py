@@ -13,11 +13,13 @@ from typing import Any
 from hardware.files import read_json
 from twin import __version__
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
-from twin.files import whole_folder
+from twin.files import InputError, whole_folder
 from twin.scene import Pose, Track
 
 INDEX = "run.json"
 _FORMAT = "ugv-twin-run"
+#: Files of each run.
+_ALWAYS = {INDEX, "report.html", "summary.json"}
 #: What a run is without being told; everything else stands in its folder's name.
 _DEFAULTS = {"radar": "hybrid-79", "compare": "paper", "seed": 0}
 
@@ -28,13 +30,16 @@ def run_folder(out: Path, settings: Mapping[str, Any]) -> Iterator[Path]:
 
     ``run.json`` is written beside the run's files and lists them with the settings. Files of the
     run before, as its list has them, are removed; what a user keeps there stays. Raises InputError
-    when ``out`` can't be written.
+    when ``out`` can't be written, and for files of the run's names that no such list has: before
+    any work for those that each run writes.
     """
+    _check_own(Path(out), _ALWAYS)
     with whole_folder(out) as partial:
         yield partial
         written = sorted(path.name for path in partial.iterdir())
         index = {"format": _FORMAT, "version": __version__, **settings, "files": written}
         (partial / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+        _check_own(Path(out), {*written, INDEX})
         stale = _listed(Path(out) / INDEX) - {*written, INDEX}
     for name in stale:
         # The run is written: what cannot be removed stays.
@@ -140,6 +145,17 @@ def _pose(pose: Pose) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.12g}"
+
+
+def _check_own(out: Path, names: set[str]) -> None:
+    """Raise InputError where files of these names are not of an earlier run."""
+    listed = _listed(out / INDEX)
+    own = {*listed, INDEX} if listed else set()
+    if others := sorted(name for name in names - own if (out / name).is_file()):
+        raise InputError(
+            f"{out}: holds {', '.join(others)}, of no earlier run, which this one would "
+            "overwrite; expected another folder"
+        )
 
 
 def _listed(index: Path) -> set[str]:

@@ -138,6 +138,8 @@ def export(
     from hardware.records import RadarRecord
     from hardware.records.sigmf import export_sigmf
 
+    if out == Path():
+        raise InputError("--out: is empty, or the current folder; expected another to write to")
     n, ending = 0, Ending()
     for received in read_records(path, ending):
         if isinstance(received.record, RadarRecord):

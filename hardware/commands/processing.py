@@ -79,7 +79,6 @@ def _processing(
     detection: _Detection = None,
 ) -> "Processing":
     """None stands for the default."""
-    from hardware.radar.own_detection import detection_of
     from hardware.radar.settings import Processing
 
     rule = {"false_alarm": false_alarm, "method": cfar, "shape": _shape(clutter_shape)}
@@ -90,7 +89,7 @@ def _processing(
         "per_cell": per_cell,
         "fastest_m_per_s": fastest,
         "range_rate_m_per_s": range_rate,
-        "detection": None if detection is None else detection_of(detection),
+        "detection": detection,
     }
     return Processing(cfar=replace(Processing().cfar, **_given(rule)), **_given(settings))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hardware.errors import InputError, check_count, check_finite, check_kind, check_switch
+from hardware.own_functions import OwnFunctionError
 from hardware.radar.cfar_rule import Cfar
 from hardware.radar.demodulation import Precision, check_precision
 from hardware.radar.own_detection import Detect, OwnDetection, detection_of
@@ -81,4 +82,8 @@ class Processing:
         if is_switch or not (isinstance(fastest, int | float | np.number) and fastest >= 0):
             raise InputError(f"fastest_m_per_s: {fastest!r:.60}, expected a number from 0 on")
         if self.detection is not None:
-            object.__setattr__(self, "detection", detection_of(self.detection))
+            try:
+                own = detection_of(self.detection)
+            except OwnFunctionError as error:
+                raise OwnFunctionError(f"detection: {error}") from error
+            object.__setattr__(self, "detection", own)

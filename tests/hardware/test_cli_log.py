@@ -112,6 +112,7 @@ def test_exit_statuses_tell_what_became_of_a_damaged_log(tmp_path: Path) -> None
             more = ["-o", tmp_path / "iq"] if command == "export" else []
             done = ugv(command, path, *more)
             assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "--out: is empty" in ugv("export", whole, "-o", "").stderr
     done = ugv("export", whole, "-o", tmp_path / "iq")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert not (tmp_path / "iq").exists()

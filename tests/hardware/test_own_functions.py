@@ -262,7 +262,9 @@ def test_a_result_that_is_no_detection_is_refused(result: object, told: str) -> 
 
 @pytest.mark.parametrize("given", ["mine", "mine.py:f", lambda record: []])
 def test_processing_refuses_a_detection_that_is_none(given) -> None:
-    with pytest.raises(OwnFunctionError, match=r"ugv.detection|does not exist|takes \(record\)"):
+    with pytest.raises(
+        OwnFunctionError, match=r"^detection: .*(ugv.detection|does not exist|takes \(record\))"
+    ):
         Processing(detection=given)
 
 

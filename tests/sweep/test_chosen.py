@@ -146,6 +146,9 @@ def test_a_file_that_says_something_else_is_not_written_over(swept: Path, tmp_pa
 def test_what_cannot_be_saved_is_said(swept: Path, tmp_path: Path) -> None:
     refused = show(swept, "--point", 3)
     assert "--point: chooses the point to save; expected --save" in str(refused.exception)
+    for option in ("--save", "--csv", "--out"):
+        empty = show(swept, option, "")
+        assert str(empty.exception) == f"{option}: is empty, expected a file to write"
     far = show(swept, "--save", tmp_path / "best.toml", "--point", 128)
     assert "point = 128: expected 0 to 127" in str(far.exception)
     assert not (tmp_path / "best.toml").exists()

@@ -1,6 +1,7 @@
 """Sweeps to a tolerance: who shares a render, how fine it is, and what says the tolerance."""
 
 import math
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from twin.sweep import Study, load_study, open_sweep, run_sweep, shared_light
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.evaluate import evaluate_chunk, outcome_of
 from twin.sweep.inputs import Held, inputs_of
+from twin.sweep.run import points_in_a_run
 from twin.sweep.setup import setup
 
 #: Knobs of a study that names none.
@@ -74,6 +76,32 @@ def test_points_that_differ_after_the_light_share_one_render_within_what_each_pe
     alone = capture(made.scene, made.system, fidelity=STILL, seed=made.seed)
     counts = outcome_of(plan, strictest, inputs).capture.record.counts
     np.testing.assert_array_equal(counts, alone.record.counts)
+
+
+def test_points_that_share_light_are_of_one_run() -> None:
+    """Of the how-to's walls, 18 points in each of two airs: runs of 16 had made two workers render
+    each light. Sets of fewer points are whole in a run; larger ones are divided, so that no worker
+    waits, and so are those of fewer renders than workers.
+    """
+
+    def run_of(n_workers: int | None, n: int = 9, **fidelity: float | str) -> int:
+        study = Study(
+            name="walls",
+            metrics=["psnr_db"],
+            set={f"fidelity.{name}": value for name, value in fidelity.items()},
+            grid={
+                "system.readout.read_noise_e": [float(1 + i) for i in range(n)],
+                "weather.part": ["clear-air", "fog-200m"],
+                "processing.method": ["zero-fill", "lmmse"],
+            },
+        )
+        assert study.n_points == 4 * n
+        return points_in_a_run(study, n_workers)
+
+    assert run_of(2) == run_of(1) == 18
+    assert (run_of(1, 3), run_of(2, 3)) == (12, 6)  # both sets of six; one for each worker
+    assert run_of(2, motion_tolerance="none") == 18
+    assert {run_of(3), run_of(None), run_of(2, 17), run_of(2, motion_tolerance=0.1)} == {16}
 
 
 @pytest.mark.thorough
@@ -273,6 +301,29 @@ def test_the_command_takes_a_tolerance_or_a_time(
     assert "2 points" in sweep(*stated)
     found = [open_sweep(tmp_path / name).attrs["study"] for name in ("timed", "stated")]
     assert found[0] == found[1]
+
+
+def test_a_time_is_that_of_the_sensor_for_which_light_is_rendered(
+    study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the nine that share the first point's light the one in the dark with the least noise,
+    which is another point's.
+    """
+    from twin.trade.time_limit import TimedFidelity, TimedShare
+
+    timed = []
+
+    def fidelity_within(*args: object, system, **options: object) -> TimedFidelity:
+        timed.append(system)
+        return TimedFidelity(Tolerance(2.0).knobs(), TimedShare(2.0, 0.1), None)
+
+    monkeypatch.setattr("twin.trade.fidelity_within", fidelity_within)
+    words = ["sweep", str(study(SENSORS, HEAD)), "--workers", "0", "--within", "1 s"]
+    monkeypatch.setattr("twin.sweep.run_sweep", lambda *_, **__: sys.exit())  # enough
+    CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    (system,) = timed
+    assert system.readout.read_noise_e.value == 1e3
+    assert system.sky.illuminance_lx.value == 0
 
 
 def test_coarser_knobs_that_a_time_allowed_are_gone_on_with(

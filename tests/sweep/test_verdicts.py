@@ -144,20 +144,22 @@ def test_a_point_warns_as_a_capture_does(tmp_path: Path) -> None:
 def test_failed_points_end_in_their_reasons_and_status_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def status(f_numbers: list[float]) -> object:
-        path = write(tmp_path, f'[grid]\n"system.optics.f_number" = {f_numbers}\n', CLOSED)
-        out = str(tmp_path / f"out-{len(f_numbers)}")
+    def status(times_s: list[float]) -> object:
+        text = f'[grid]\n"system.acquisition.integration_time_s" = {times_s}\n'
+        path = write(tmp_path, text, CLOSED)
+        out = str(tmp_path / f"out-{len(times_s)}")
         monkeypatch.setattr(sys, "argv", ["twin", "sweep", str(path), "--out", out])
         with pytest.raises(SystemExit) as ended:
             cli.main()
         return ended.value.code or 0
 
-    assert status([1.0, -1.0, -2.0]) == 1
+    assert status([1e-6, 1.0, 2.0]) == 1
     done = capsys.readouterr()
     assert "3 points, 2 failed" in done.out
-    assert "failed: 1 point: InputError: system: optics.f_number.value = -1.0" in done.err
+    which = "failed: 2 points, the first 1: system.acquisition.integration_time_s = 1 s: InputError"
+    assert f"{which}: system: acquisition: integration_time_s is longer" in done.err
     assert "Traceback" not in done.err
-    assert status([1.0, 2.0]) == 0
+    assert status([1e-6, 2e-6]) == 0
 
 
 @pytest.mark.slow  # a worker is started anew some eight times
@@ -238,10 +240,69 @@ def test_what_no_point_can_be_is_found_before_the_first(
 
 def test_one_point_that_can_be_is_enough(tmp_path: Path) -> None:
     """Others are rows with their errors: of a grid whose last point alone is possible too."""
-    path = write(tmp_path, '[grid]\n"system.optics.f_number" = [-2.0, -1.0, 1.0]\n', CLOSED)
+    text = '[grid]\n"system.acquisition.integration_time_s" = ["2 s", "1 s", "1 us"]\n'
+    path = write(tmp_path, text, CLOSED)
     check_points(plan := load_study(path), inputs_of(plan))
     summary = run_sweep(path, out=tmp_path / "out")
     assert summary.n_failed == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('"system.filter.part" = ["fb1550-12", "nosuch"]', "'nosuch': .* is neither a TOML file"),
+        ('"system.filter.part" = ["fb1550-12", "fga015"]', "'fga015': .*this part has no filter"),
+        ('"weather.part" = ["clear-air", "nosuch"]', "'nosuch': .* is neither a TOML file"),
+        ('"scene" = ["table1", "nosuch"]', "nosuch: no such scene"),
+        ('"system.optics.f_number" = [1.0, -1e-3]', r"-0\.001: expected at least 0\.5"),
+        ('"system.optics.f_number" = [1.0, nan]', "nan: expected a finite number"),
+        ('"system.detector.width_m" = ["1 mm", 1e-15]', "1e-15: expected 1e-12 to 1000"),
+        ('"system.detector.function" = ["mine.py:f"]', r"mine\.py does not exist"),
+        ('"system.readout.adc_bits" = [16, 16.5]', r"16\.5: expected a whole number"),
+    ],
+)
+def test_a_value_that_no_point_may_have_is_told_before_any_point(
+    tmp_path: Path, text: str, told: str
+) -> None:
+    """With study, parameter and value. Each had cost its point, whose message named neither."""
+    parameter = text.split('"')[1]
+    with pytest.raises(InputError, match=rf"study\.toml: {parameter}(\.value)? = .*{told}"):
+        run_sweep(write(tmp_path, f"[grid]\n{text}\n", SMALL), out=tmp_path / "out", workers=1)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (f'[{table}]\n"system.optics.f_number" = {given}\n', f"{table}.system.optics.f_number")
+        for table in ("grid", "zip")
+        for given in ('[["1 mm", "2 mm"], ["3 mm"]]', "2", '"2"', "{ a = 1 }", "1979-05-27")
+    ],
+)
+def test_what_is_no_list_of_values_is_told_in_a_short_line(
+    tmp_path: Path, text: str, place: str
+) -> None:
+    """Lists within lists had been told with every type that a value may have, each."""
+    place, text = place.replace("zip", "zip.0"), text.replace("[zip]", "[[zip]]")
+    with pytest.raises(InputError, match=rf"study\.toml: {place}.*: expected a list of values$"):
+        load_study(write(tmp_path, text, SMALL))
+
+
+def test_what_is_set_is_a_single_value(tmp_path: Path) -> None:
+    text = 'scene = "yard"\nmetrics = ["snr_median"]\n[set]\n"system.optics.f_number" = [1, 2]\n'
+    with pytest.raises(InputError, match=r"f_number = \[1, 2\]: expected a single value"):
+        load_study(write(tmp_path, text, ""))
+
+
+def test_of_long_and_drawn_lists_the_ends_are_told(tmp_path: Path) -> None:
+    values = [*np.linspace(1, 2, 2000).tolist(), -1.0]
+    drawn = '[sample]\nmethod = "sobol"\nn = 64\n[sample.ranges]\n"system.optics.f_number" = '
+    for text in (
+        f'[grid]\n"system.optics.f_number" = {values}\n',
+        f"{drawn}{{ low = -1, high = 1 }}\n",
+    ):
+        with pytest.raises(InputError, match=r"f_number\.value = -.*: expected at least 0\.5"):
+            run_sweep(write(tmp_path, text, CLOSED), out=tmp_path / "out")
 
 
 @pytest.mark.parametrize(

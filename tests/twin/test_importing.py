@@ -1,6 +1,7 @@
 """Model files of other people become scenes."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,34 @@ def test_both_devices_see_a_model_of_any_size(side_m: float, tmp_path: Path) -> 
         ahead, left, up = axes @ (corners - scene.rig.position_m - origin).T
         assert (ahead > 0).all()
         assert np.degrees(np.arctan2(np.abs([left, up]), ahead)).max() < 10
+
+
+@pytest.mark.parametrize(
+    ("side_m", "at_m", "told"),
+    [
+        (1, 1e8, ""),
+        (1, 1e12, "1e+12 m from the origin"),
+        (5e4, 0, "place it nearer"),
+        (2e5, 0, "2e+05"),
+    ],
+)
+def test_a_model_that_no_scene_may_hold_is_refused(
+    side_m: float, at_m: float, told: str, tmp_path: Path
+) -> None:
+    """Before a folder is written that the next run refuses; where the rig alone is too far from the
+    model's end, it can be placed elsewhere, and a note says so.
+    """
+    x = at_m + side_m
+    (tmp_path / "far.obj").write_text(f"v {at_m} 0 0\nv {x} 0 0\nv {x} {side_m} 1\nf 1 2 3\n")
+    if told and "place" not in told:
+        with pytest.raises(InputError, match=re.escape(told)):
+            import_model(tmp_path / "far.obj", tmp_path / "scene")
+        assert not (tmp_path / "scene").exists()
+        return
+    notes = import_model(tmp_path / "far.obj", tmp_path / "scene")
+    assert any("place it nearer" in note for note in notes) == bool(told)
+    if not told:
+        assert load_scene(tmp_path / "scene").objects
 
 
 def test_faces_without_an_area_are_told_and_measure_nothing(tmp_path: Path) -> None:

@@ -52,6 +52,12 @@ class Dust:
 
 def nothing(section):
     return section
+
+def ends(section):
+    raise SystemExit("was run")
+
+def of_two(one, other):
+    return one
 '''
 
 
@@ -134,15 +140,51 @@ def test_weather_of_a_function_acts_on_light_and_waves(folder: Path) -> None:
     ("text", "told"),
     [
         ("[detector]\nfunction = 'mine.py:nothing'\n", "detector.function: nothing gave a System,"),
-        ("[detector]\nfunction = 'mine.py:absent'\n", "detector.function: .*no function 'absent'"),
-        ("[detector]\nfunction = 'none.py:f'\n", "detector.function: .*does not exist"),
-        ("[detector]\nfunction = 'spad'\n", "detector.function: 'spad': is unknown"),
         ("[weather]\nfunction = 'mine.py:nothing'\n", "weather.function: nothing gave a Weather"),
     ],
 )
 def test_what_is_no_part_is_told(folder: Path, text: str, told: str) -> None:
     with pytest.raises(InputError, match=told):
         capture(load_scene("table1"), system_of(folder, text), fidelity=QUICK)
+
+
+@pytest.mark.parametrize("section", ["detector", "weather", "waveform"])
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("mine.py:absent", "mine.py has no function 'absent'"),
+        ("none.py:f", "none.py does not exist"),
+        (
+            "spad",
+            "'spad': is unknown, expected file.py:function or a name in .* group twin.SECTION",
+        ),
+        ("", "'': is unknown, expected file.py:function"),
+        ("mine.py:of_two", "takes .*, expected a function of"),
+    ],
+)
+def test_a_function_is_looked_up_and_not_run_when_its_file_is_loaded(
+    folder: Path, section: str, given: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run computes for a minute before it makes the detector: what is misspelt is told before."""
+    monkeypatch.chdir(folder)  # what a name in Python is relative to
+    load, base = (load_radar, "hybrid-79") if section == "waveform" else (load_system, "workable")
+    path = folder / "own.toml"
+    path.write_text(f'base = "{base}"\n[{section}]\nfunction = "{given}"\n')
+    said = told.replace("SECTION", section)
+    with pytest.raises(InputError, match=rf"own\.toml: {section}\.function: .*{said}"):
+        load(path)
+    with pytest.raises(InputError, match=rf"{section}\.function: .*{said}"):
+        load(base).with_({f"{section}.function": given})
+    if section != "waveform":  # whose symbols are part of the design, and checked with it
+        path.write_text(f'base = "{base}"\n[{section}]\nfunction = "mine.py:ends"\n')
+        assert getattr(load(path), section).function.value.endswith("mine.py:ends")
+
+
+def test_the_radar_names_the_field_of_a_weather(folder: Path) -> None:
+    """Not one of its own design, which the user's file does not have."""
+    dusty = system_of(folder, '[weather]\nfunction = "mine.py:ends"\n')
+    with pytest.raises(InputError, match=r"^weather\.function: ends: SystemExit"):
+        radar_capture(load_scene("yard"), load_radar("hybrid-79"), weather=dusty.weather)
 
 
 def test_closed_formulas_refuse_what_they_do_not_know(folder: Path) -> None:

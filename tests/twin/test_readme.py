@@ -133,5 +133,7 @@ def test_a_system_of_own_parts_loads(tmp_path: Path) -> None:
     text = "".join(blocks("docs/howto/own_parts.md", "toml"))
     (tmp_path / "mine.toml").write_text(f'base = "workable"\n{text}')
     np.save(tmp_path / "masks.npy", np.zeros((512, 64, 64), np.uint8))
+    code = "def counter(system): ...\nclass Dust:\n    def __init__(self, weather): ...\n"
+    (tmp_path / "mine.py").write_text(code)
     assert load_system(tmp_path / "mine.toml").patterns.count == 512
     assert load_system(tmp_path / "mine.toml").weather is not None

@@ -116,12 +116,39 @@ def test_a_trade_has_one_too() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": "another", "files": ["keep.txt"]}', "{"])
-def test_a_list_that_is_none_of_a_run_removes_nothing(text: str, tmp_path: Path) -> None:
+def test_a_list_that_is_none_of_a_run_is_kept_and_removes_nothing(
+    text: str, tmp_path: Path
+) -> None:
     (tmp_path / "run.json").write_text(text)
     (tmp_path / "keep.txt").write_text("mine")
-    with run_folder(tmp_path, {}) as partial:
-        (partial / "new.txt").write_text("x")
-    assert {p.name for p in tmp_path.iterdir()} == {"keep.txt", "new.txt", "run.json"}
+    refused = pytest.raises(InputError, match=r"holds run\.json, of no earlier run")
+    with refused, run_folder(tmp_path, {}):
+        pytest.fail("works before it is refused")
+    assert {p.name for p in tmp_path.iterdir()} == {"keep.txt", "run.json"}
+    assert (tmp_path / "run.json").read_text() == text
+
+
+def test_files_of_somebody_else_are_not_overwritten(tmp_path: Path) -> None:
+    """Those of each run are told before any work, others when they are to be written."""
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(InputError, match=r"holds report\.html, of no earlier run"):
+        run("table1", radar=None, compare=None, fidelity=FAST, out=tmp_path)
+    (tmp_path / "report.html").unlink()
+    (tmp_path / "record.h5").write_text("mine")
+    refused = pytest.raises(InputError, match=r"holds record\.h5, of no earlier run")
+    with refused, run_folder(tmp_path, {}) as partial:
+        (partial / "record.h5").write_text("x")
+    assert {p.name for p in tmp_path.iterdir()} == {"record.h5"}
+    assert (tmp_path / "record.h5").read_text() == "mine"
+
+
+def test_no_run_goes_to_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a path, which is what the command gets, an empty text is that folder."""
+    monkeypatch.chdir(tmp_path)
+    for out in (Path(""), Path("."), "", " "):
+        with pytest.raises(InputError, match=r"^out: is empty"):
+            run("table1", radar=None, compare=None, fidelity=FAST, out=out)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_list_reaches_into_no_other_folder(tmp_path: Path) -> None:
@@ -143,18 +170,25 @@ def test_a_list_reaches_into_no_other_folder(tmp_path: Path) -> None:
 def test_what_cannot_be_removed_stays_and_the_new_run_is_kept(
     listed: str | None, tmp_path: Path
 ) -> None:
-    """Names that no file can have, a folder's, and a list nested deeper than any parser goes."""
+    """Names that no file can have, and a folder's. A list nested deeper than any parser goes is of
+    no run: it is refused, and everything stays.
+    """
     (tmp_path / "folder").mkdir()
     text = (
         f'{{"format": "ugv-twin-run", "files": ["old", "{listed}"]}}' if listed else "[" * 200_000
     )
     (tmp_path / "old").write_text("old")
     (tmp_path / "run.json").write_text(text)
+    if listed is None:
+        with pytest.raises(InputError, match="of no earlier run"), run_folder(tmp_path, {}):
+            pass
+        assert {p.name for p in tmp_path.iterdir()} == {"folder", "old", "run.json"}
+        return
     with run_folder(tmp_path, settings()) as partial:
         (partial / "new").write_text("new")
     assert (tmp_path / "new").read_text() == "new"
     assert (tmp_path / "folder").is_dir()
-    assert (tmp_path / "old").exists() is (listed is None)
+    assert not (tmp_path / "old").exists()
     assert json.loads((tmp_path / "run.json").read_text())["files"] == ["new"]
 
 

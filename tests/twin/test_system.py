@@ -226,6 +226,22 @@ def test_schemas_know_every_section() -> None:
         assert word in text
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("emitter.peak_wavelength_m", 1550, "1550: expected 1e-07 to 0.0001"),
+        ("emitter.peak_wavelength_m", 1.55, "1.55: expected 1e-07 to 0.0001"),
+        ("emitter.line_fwhm_m", 5e-324, "4.94066e-324: expected 1e-24 to 0.0001"),
+    ],
+)
+def test_wavelengths_are_those_of_light(field: str, value: float, told: str) -> None:
+    """One in nm or um in place of m gave an emitter of which no light passes the filter; of a line
+    narrower than floats divide NumPy warned.
+    """
+    with pytest.raises(InputError, match=rf"{field.partition('.')[2]} = {told}"):
+        load_system("workable").with_({field: value})
+
+
 def test_whole_numbers_may_have_an_exponent() -> None:
     system = load_system("workable").with_({"acquisition.n_patterns": 1e3})
     assert system.acquisition.n_patterns.value == 1000

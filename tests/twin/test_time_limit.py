@@ -1,8 +1,13 @@
 """The smallest tolerance that a time allows."""
 
+from collections.abc import Iterable
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from twin.camera import capture
+from twin.camera.render_warnings import tolerance_warnings
 from twin.errors import InputError
 from twin.fidelity import Fidelity, Tolerance
 from twin.scene import load_scene
@@ -20,14 +25,21 @@ def test_the_smallest_share_within_the_limit(
     clock_s = 0.0
     monkeypatch.setattr(time_limit.time, "perf_counter", lambda: clock_s)
 
-    def frame(fidelity: Fidelity) -> None:
+    least = 0.0  # of what the paths reach
+
+    def frame(fidelity: Fidelity) -> Iterable[str]:
         nonlocal clock_s
-        assert fidelity.light_tolerance is not None
-        clock_s += 0.004 / fidelity.light_tolerance
+        share = fidelity.light_tolerance
+        assert share is not None
+        clock_s += 0.004 / share
+        permitted = SimpleNamespace(unit="", tolerance_of=lambda cells: share)
+        return tolerance_warnings(least / share, permitted, np.ones(1))
 
     chosen = time_limit.finest(frame, limit_s)
     assert chosen.noise_share == share
     assert chosen.frame_s == pytest.approx(0.005 / share)
+    least = 0.4  # none beyond is chosen, though there is time
+    assert time_limit.finest(frame, limit_s).noise_share == max(share, 0.5)
 
 
 def test_a_frame_stays_within_the_time() -> None:
@@ -65,7 +77,7 @@ def test_coarser_knobs_where_the_largest_tolerance_takes_too_long(
     clock_s = 0.0
     monkeypatch.setattr(time_limit.time, "perf_counter", lambda: clock_s)
 
-    def frame(knobs: Fidelity) -> None:
+    def frame(knobs: Fidelity) -> Iterable[str]:
         nonlocal clock_s
         if sensor == "camera":
             still_s = 0.04 if knobs.light_tolerance is None else 0.3
@@ -74,6 +86,7 @@ def test_coarser_knobs_where_the_largest_tolerance_takes_too_long(
             clock_s += {"optics": 0.3, "paths": 0.05, "targets": 0.01}[str(knobs.radar)]
         else:
             clock_s += 4.0
+        return ()
 
     chosen = time_limit._best(sensor, frame, limit_s)
     assert str(chosen).startswith(f"{says}, ")
@@ -90,10 +103,11 @@ def test_knobs_that_are_fixed_are_timed_and_kept(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(time_limit.time, "perf_counter", lambda: clock_s)
     timed: list[Fidelity] = []
 
-    def frame(*_: object, fidelity: Fidelity, **__: object) -> None:
+    def frame(*_: object, fidelity: Fidelity, **__: object) -> SimpleNamespace:
         nonlocal clock_s
         timed.append(fidelity)
         clock_s += 0.1 if fidelity.motion_tolerance is None else 4.0
+        return SimpleNamespace(warnings=())
 
     monkeypatch.setattr(time_limit, "capture", frame)
     assert str(fidelity_within("table1", 1.0, radar=None)).endswith(

@@ -1,7 +1,7 @@
 """Warnings of a render's uncertainties, each with its estimated error."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,11 @@ def tolerance_warnings(
         f"image, where {tolerance:.2g} are allowed: {_NO_MORE_PATHS}"
     )
     return (CaptureWarning("tolerance", text),)
+
+
+def is_out_of_paths(warnings: Iterable[str]) -> bool:
+    """Whether one says that the limit of paths is reached, beyond which no tolerance helps."""
+    return any(_NO_MORE_PATHS in warning for warning in warnings)
 
 
 def sun_warnings(over: float) -> tuple[CaptureWarning, ...]:

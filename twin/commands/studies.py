@@ -82,14 +82,18 @@ def sweep(
         renders=done.renders,
         results=results,
         without_effect=done.without_effect,
-        reasons=[{"reason": reason, "points": n} for reason, n in done.reasons],
+        reasons=[
+            {"reason": reason, "points": n, "first": done.failed[reason]}
+            for reason, n in done.reasons
+        ],
     )
     for kind, n in done.warned:
         say.warn(f"{kind}: {counted(n, 'point')}, the first: {done.words[kind]}")
     if done.without_effect:
         say.warn(f"no metric changes with {', '.join(done.without_effect)}")
     for reason, n in done.reasons[:_REASONS]:
-        print(f"failed: {counted(n, 'point')}: {reason}", file=sys.stderr)
+        which = f"{counted(n, 'point')}, the first {done.failed[reason]}"
+        print(f"failed: {which}: {reason}", file=sys.stderr)
     if len(done.reasons) > _REASONS:
         print(f"failed: {len(done.reasons) - _REASONS} more reasons: error", file=sys.stderr)
     if done.n_failed:
@@ -131,8 +135,9 @@ def _accuracy_asked(
     tolerance: str | None,
     within: float | None,
 ) -> "Accuracy | None":
-    """What the options ask for. What a time allows is measured on the first point, unless the
-    folder has it; what a score takes is looked for there each time, and is the same each time.
+    """What the options ask for. What a time allows is measured on the first point, with the sensor
+    for which its light is rendered, unless the folder has it; what a score takes is looked for
+    there each time, and is the same each time.
     """
     from twin.fidelity import DEFAULT_SHARE, Tolerance
     from twin.sweep.accuracy import named_in, with_accuracy
@@ -140,16 +145,18 @@ def _accuracy_asked(
     from twin.sweep.plan import stored_accuracy
     from twin.sweep.run import folder_of
     from twin.sweep.setup import setup
+    from twin.sweep.shared_light import strictest_sharing
 
     only_one(fidelity, tolerance, within)
     asked = None if tolerance is None else Tolerance.of(tolerance)
     of_score = scores_asked(tolerance)
     if within is None and of_score is None:
         return asked or fidelity
-    with_accuracy(study, DEFAULT_SHARE)  # whether it takes any, before time is spent
+    to_share = with_accuracy(study, DEFAULT_SHARE)  # refused before time is spent
     if within is not None and (knobs := stored_accuracy(folder_of(study, out))):
         return knobs
-    first = setup(study, study.point(0), inputs_of(study))
+    inputs = inputs_of(study)
+    first = setup(study, study.point(0), inputs)
     scene, system, radar = first.scene, first.system, first.radar
     # A study assumes that nothing moves during a frame unless it names a tolerance of that.
     fixed = {"motion_tolerance": None, **{n: getattr(first.fidelity, n) for n in named_in(study)}}
@@ -158,7 +165,8 @@ def _accuracy_asked(
         bandwidth_hz = radar.total_bandwidth_hz if radar else None
         return knobs_for_scores(say, lambda: scene, of_score, system, fixed, bandwidth_hz)
     assert within is not None
-    return knobs_within(say, lambda: scene, system, radar, within, fixed)
+    strictest = strictest_sharing(to_share, 0, inputs)
+    return knobs_within(say, lambda: strictest.scene, strictest.system, radar, within, fixed)
 
 
 def show(
@@ -203,6 +211,9 @@ def show(
     from twin.sweep.front import all_points, write_rows
     from twin.sweep.show import plot_front, plot_plane
 
+    for option, file in {"csv": csv, "out": out, "save": save}.items():
+        if file == Path():
+            raise InputError(f"--{option}: is empty, expected a file to write")
     with _damage_told(say):
         data = open_sweep(sweep)
     needs_picture = metric is not None or out is not None or csv is None

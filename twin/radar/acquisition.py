@@ -327,6 +327,8 @@ def _air(weather: Weather | None, radar: RadarDesign) -> Atmosphere:
         for carrier in radar.burst.carriers_hz[[0, -1]]:
             air.db_per_m(float(carrier))
     except InputError as error:
+        if weather is not None and weather.function is not None:  # its errors name their field
+            raise
         raise InputError(f"radar {radar.name}: waveform.{error}") from error
     return air
 

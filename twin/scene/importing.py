@@ -14,13 +14,13 @@ from twin.files import InputError, whole_folder
 from twin.geometry import Geometry
 from twin.scene.beside import missing_files
 from twin.scene.imported_materials import ImportedBsdfs, imported_material, texture_coordinates
+from twin.scene.limits import FARTHEST_M, FARTHEST_ORIGIN_M
 from twin.scene.materials import materials_of
 from twin.scene.meshes import load_quietly
 from twin.scene.objects import Array
 from twin.scene.rig import Rig
 
 _LIKELY_M = 100.0  # what is larger is drawn in millimetres, more often than not
-_LARGEST_M = 1e5  # what a scene may measure, see `load_scene`
 _HALF_FIELD_RAD = np.radians(10)  # of the devices that the model is to fit in
 #: Of the detector beside the emitter, and of the radar below both.
 _DETECTOR_M, _RADAR_M = -Rig.detector.position_m[1], -Rig.radar.position_m[2]
@@ -77,9 +77,15 @@ def import_model(
     parts, notes = _parts(loaded, model, place, materials)
     corners = np.concatenate([part.corners_m.reshape(-1, 3) for part, _ in parts.values()])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    if (high - low).max() > _LARGEST_M:
+    if (high - low).max() > FARTHEST_M:
         raise InputError(
-            f"{model}: measures {(high - low).max():.3g} m, expected at most {_LARGEST_M:g} m"
+            f"{model}: measures {(high - low).max():.3g} m, expected at most {FARTHEST_M:g} m"
+        )
+    rig_m = _rig_m(low, high)
+    if (far_m := np.abs(rig_m).max()) > FARTHEST_ORIGIN_M:
+        raise InputError(
+            f"{model}: a rig before it is {far_m:.3g} m from the origin, expected at most "
+            f"{FARTHEST_ORIGIN_M:g} m: --scale, or move the model"
         )
     # PLY files hold float32: meshes stay near the origin, the XML moves them in float64.
     origin = np.round((low + high) / 2) if np.abs([low, high]).max() > 1e3 else np.zeros(3)
@@ -94,13 +100,18 @@ def import_model(
         materials.write_pictures(partial)
         bsdf_of = {name: bsdf for name, (_, bsdf) in parts.items()}
         (partial / "scene.xml").write_text(_xml(bsdf_of, materials.xml(), origin))
-        (partial / "scene.toml").write_text(_toml(model, low, high))
+        (partial / "scene.toml").write_text(_toml(model, rig_m))
     size = " x ".join(number(s) for s in high - low)
     notes.append(f"{axis} is up, {scale:g} m per unit: the scene measures {size} m")
     if scale == 1 and (high - low).max() > _LIKELY_M:
         notes.append("a model in millimetres needs --scale 0.001")
     notes += [*materials.notes(), *missing_files(model)]
     notes.append("the rig was placed in front of the model, looking at it: see scene.toml")
+    if (reach_m := np.abs([low - rig_m, high - rig_m]).max()) > FARTHEST_M:
+        notes.append(
+            f"the rig is {reach_m:.3g} m from the model's far end, and a scene is read up to "
+            f"{FARTHEST_M:g} m: place it nearer in scene.toml"
+        )
     off_axis = float(np.arctan2(_RADAR_M, _distance(low, high) + (high - low)[0] / 2))
     if off_axis > _HALF_FIELD_RAD:
         degrees = number(np.degrees(off_axis), 2)
@@ -198,12 +209,18 @@ def _distance(low: Array, high: Array) -> float:
     return float(max(1.3 * size / 2, size / 2 + 1.1 * _DETECTOR_M) / np.tan(_HALF_FIELD_RAD))
 
 
-def _toml(model: Path, low: Array, high: Array) -> str:
-    """Rig in front of the model (towards +x of it, looking back)."""
+def _rig_m(low: Array, high: Array) -> tuple[float, float, float]:
+    """Place of the rig: before the model, towards +x of it."""
     distance = _distance(low, high)
     y, z = (low[1:] + high[1:]) / 2
     digits = max(0, 2 - int(np.floor(np.log10(distance))))
     x, y, z = (round(float(v), digits) for v in (high[0] + distance, y, z))
+    return x, y, z
+
+
+def _toml(model: Path, rig_m: tuple[float, float, float]) -> str:
+    """Rig in front of the model, looking back."""
+    x, y, z = rig_m
     return (
         f"description = {json.dumps(f'imported from {model.name}')}\n\n"
         "[rig]\n"

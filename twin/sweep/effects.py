@@ -12,6 +12,7 @@ from twin.sweep.dataset import COARSE, VOID, metrics_of
 from twin.sweep.inputs import ChangedError, Inputs, beside
 from twin.sweep.setup import setup
 from twin.sweep.study import Study
+from twin.sweep.values import check_values
 
 if TYPE_CHECKING:
     import xarray
@@ -20,14 +21,16 @@ _MOST_TRIED = 4096
 
 
 def check_points(study: Study, inputs: Inputs) -> None:
-    """A fault of the whole study, before any work: raise InputError where no point can be set up,
-    a parameter of the sun is overruled in all of them, or a closed form, which needs no scene,
-    names one that is not there.
+    """A fault of the whole study, before any work: raise InputError for a value that no point may
+    have (`check_values`), where no point can be set up, a parameter of the sun is overruled in all
+    of them, or a closed form, which needs no scene, names one that is not there.
 
-    One point that can be set up is enough: another that can't becomes a row with its error.
+    One point that can be set up is enough: another whose values do not fit together becomes a row
+    with its error.
     """
     if study.model == "closed-form" and f"scene {study.scene}" not in inputs.objects:
         scene_file(beside(study.scene, study.folder))
+    check_values(study, inputs)
     first: Exception | None = None
     n, most = study.n_points, min(study.n_points, _MOST_TRIED)
     for index in np.linspace(0, n - 1, most).astype(int).tolist():

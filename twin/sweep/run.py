@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from hardware.formatting import setting_text
 from twin.fidelity import Accuracy, Tolerance
-from twin.files import InputError, locked
+from twin.files import InputError, check_out, locked
 from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels, warned_points
@@ -27,10 +28,19 @@ from twin.sweep.names import is_own
 from twin.sweep.refinement import coarse_study
 from twin.sweep.store import Points, Store, create_or_resume
 from twin.sweep.study import Study, load_study
-from twin.sweep.workers import SchedulerGoneError, Submit, WorkerDiedError, dask, here
+from twin.sweep.workers import (
+    SchedulerGoneError,
+    Submit,
+    WorkerDiedError,
+    dask,
+    here,
+    n_cores,
+)
 
 #: Points in a run: what a kill loses at most, for each worker.
 _RENDERED_CHUNK, _CLOSED_CHUNK = 16, 32_768
+#: More in a run where they share light.
+_MOST_SHARING = 2
 _MANY = 10_000_000
 
 
@@ -38,7 +48,8 @@ _MANY = 10_000_000
 class Summary:
     """What a sweep did.
 
-    ``reasons``: why points failed, with how many each, most first. ``warned``: by kind, how many
+    ``reasons``: why points failed, with how many each, most first; ``failed``: the first of each
+    reason, its number with its parameters. ``warned``: by kind, how many
     points a warning was given of, fewest first; ``words``: the first of each kind.
     ``without_effect``: parameters along which no metric changed. ``n_coarse``: points that cannot
     be on the study's front, left at a coarse tolerance; None where all are computed as asked.
@@ -50,6 +61,7 @@ class Summary:
     n_void: int
     renders: int
     reasons: tuple[tuple[str, int], ...] = ()
+    failed: Mapping[str, str] = field(default_factory=dict)
     warned: tuple[tuple[str, int], ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     without_effect: tuple[str, ...] = ()
@@ -112,6 +124,8 @@ def run_sweep(
     if workers is not None and workers < 0:
         raise InputError(f"workers: {workers}: expected 0 or more")
     closed = study.model == "closed-form"
+    n_workers = None if scheduler else max(1, n_cores() if workers is None else workers)
+    check_out(out)
     out = folder_of(study, out)
     inputs = inputs_of(study)
     try:
@@ -119,7 +133,7 @@ def run_sweep(
     except InputError as error:
         raise type(error)(f"{study.label}: {error}") from error
     own = {name: inputs.get("metric", name) for name in study.metrics if is_own(name)}
-    chunk = _CLOSED_CHUNK if closed else _RENDERED_CHUNK
+    chunk = _CLOSED_CHUNK if closed else points_in_a_run(study, n_workers)
     with locked(out, "sweep"):
         store = create_or_resume(study, out, chunk, inputs, labels(study, own))
         store.chosen_for("" if scores is None else str(scores))
@@ -134,6 +148,19 @@ def run_sweep(
                 raise SchedulerGoneError(words) from error
         store.finish()
         return _summary(store)
+
+
+def points_in_a_run(study: Study, n_workers: int | None) -> int:
+    """Points that a worker computes by itself. Where all that may share a render are few, and there
+    are as many renders as workers, a run holds whole sets of them: each is rendered once. Else
+    workers that share such a set each make its render, rather than wait for another. ``n_workers``:
+    None where it is not known.
+    """
+    sharing = study.n_sharing
+    sets, few = study.n_points // sharing, sharing <= _MOST_SHARING * _RENDERED_CHUNK
+    if n_workers is None or not few or sets < n_workers:
+        return _RENDERED_CHUNK
+    return sharing * max(1, min(_RENDERED_CHUNK // sharing, sets // n_workers))
 
 
 def _compute(
@@ -161,6 +188,9 @@ def folder_of(study: Study, out: str | Path | None) -> Path:
 def _summary(store: Store) -> Summary:
     found, progress = store.dataset(), store.progress
     warned = warned_points(found)
+    first: dict[str, int] = {}
+    for index, reason in sorted(progress.errors.items()):
+        first.setdefault(reason, index)
     return Summary(
         out=store.out,
         n_points=store.study.n_points,
@@ -168,11 +198,19 @@ def _summary(store: Store) -> Summary:
         n_void=found.attrs["points_void"],
         renders=progress.renders,
         reasons=tuple(Counter(progress.errors.values()).most_common()),
+        failed={reason: _point_in_words(store.study, index) for reason, index in first.items()},
         warned=tuple((one.kind, len(one.points)) for one in warned),
         words={one.kind: one.words for one in warned},
         without_effect=tuple(without_effect(found)),
         n_coarse=found.attrs.get("points_coarse"),
     )
+
+
+def _point_in_words(study: Study, index: int) -> str:
+    """Number of a point, with what varies."""
+    varied = [name for axis in study.axes for name in axis.columns]
+    values = study.point(index)
+    return f"{index}: " + ", ".join(f"{n} = {setting_text(n, values[n])}" for n in varied)
 
 
 def _of_all_passes(

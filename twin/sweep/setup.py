@@ -60,10 +60,10 @@ def setup(study: Study, values: Values, inputs: Inputs) -> Setup:
         scene_values=scene_values,
         system=system_of(study, values, inputs),
         radar=radar,
-        fidelity=_fidelity(groups.get("fidelity", {}), radar, inputs),
+        fidelity=fidelity_of(groups.get("fidelity", {}), radar, inputs),
         method=_method(groups.get("processing", {}), inputs),
         detection=_detection(groups.get("processing", {}), inputs),
-        seed=_seed(groups.get("seed", {}).get("", study.seed)),
+        seed=seed_of(groups.get("seed", {}).get("", study.seed)),
     )
 
 
@@ -95,7 +95,8 @@ def _detection(values: Values, inputs: Inputs) -> OwnDetection | Detect | None:
     return inputs.get("detection", name) if name else None
 
 
-def _seed(value: Value) -> int:
+def seed_of(value: Value) -> int:
+    """A seed. Raises InputError."""
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if not isinstance(value, int) or value < 0:
@@ -103,7 +104,7 @@ def _seed(value: Value) -> int:
     return value
 
 
-def _fidelity(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fidelity:
+def fidelity_of(values: Values, radar: RadarDesign | None, inputs: Inputs) -> Fidelity:
     """Knobs over the preset or tolerance that is named; without one over `standard`, as those of
     `Fidelity`; where no knob is named either, those of the default tolerance. Motion during a frame
     is followed where it is named alone: points would share no light, each being of its own times.
@@ -147,15 +148,20 @@ def changed(entry: E, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> 
     for name, value in values:
         section, _, field = name.partition(".")
         if field == "part":
-            part = getattr(inputs.get("part", str(value)), section, None)
-            if part is None:
-                raise InputError(f"{section}.part = {value!r}: this part has no {section}")
-            changes[section] = part
+            changes[section] = part_section(section, str(value), inputs)
         elif field:
             if names_file(field) and isinstance(value, str):
                 value = placed(field, value, inputs.folder)
             changes[name] = {"value": value, "assumed": "swept"}
     return entry.with_({"name": entry.name, **changes}) if changes else entry
+
+
+def part_section(section: str, name: str, inputs: Inputs) -> Any:
+    """What a part says of a section. Raises InputError where it has none."""
+    found = getattr(inputs.get("part", name), section, None)
+    if found is None:
+        raise InputError(f"{section}.part = {name!r}: this part has no {section}")
+    return found
 
 
 def _scene(name: str, values: tuple[tuple[str, Value], ...], inputs: Inputs) -> Scene:

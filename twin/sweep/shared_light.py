@@ -89,10 +89,32 @@ def light_of(study: Study, index: int, made: Setup, inputs: Inputs) -> RenderedL
         return _lights.get(
             key, lambda: render(made.scene, made.system, fidelity=made.fidelity, seed=draw)
         )
+    group = (study.digest, int(study.same_render(index)[0]))
+    chains = _chains_sharing(study, index, made, inputs)
+    return _lights.get((*group, *key), lambda: _within_all(made, chains)).of(made)
+
+
+def strictest_sharing(study: Study, index: int, inputs: Inputs) -> Setup:
+    """Setup of a point with the sensor, of those that share its light, for which that is rendered:
+    whose noise permits the least of a wall's light.
+    """
+    made = setup(study, study.point(index), inputs)
+    if not made.fidelity.has_light_tolerance or can_rescale(made.system, made.fidelity):
+        return made
+    chains = _chains_sharing(study, index, made, inputs)
+    system, sun = tuple(chains)[_strictest_index(made, chains)]
+    return replace(made, system=system, scene=replace(made.scene, sun=sun))
+
+
+def _chains_sharing(
+    study: Study, index: int, made: Setup, inputs: Inputs
+) -> Mapping[Sensor, Chain]:
+    """Of all points that share a point's light."""
     same = study.same_render(index)
     group = (inputs.stamp, study.digest, int(same[0]))
-    chains = _groups.get(group, lambda: _sensors(study, same, inputs))[key[1:]]
-    return _lights.get((*group, *key), lambda: _within_all(made, chains)).of(made)
+    found = _groups.get(group, lambda: _sensors(study, same, inputs))
+    chains: Mapping[Sensor, Chain] = found[light_key(made, inputs)]
+    return chains
 
 
 def light_seed(made: Setup) -> np.random.SeedSequence:
@@ -153,8 +175,7 @@ def _within_all(made: Setup, chains: Mapping[Sensor, Chain]) -> _Shared:
     """A render within what every sensor permits: for the one that permits the least of a wall's
     light, and where another permits less of the scene's, for that one.
     """
-    sensors = tuple(chains)
-    chosen = _strictest.get(sensors, lambda: _strictest_by_a_wall(made, chains))
+    sensors, chosen = tuple(chains), _strictest_index(made, chains)
     best: _Shared | None = None
     for _ in range(_MOST_RENDERS):
         found = _rendered_for(made, sensors[chosen], chains)
@@ -192,6 +213,10 @@ def _strictest_by_sun(made: Setup, chains: Mapping[Sensor, Chain]) -> Chain:
         return float(error.sun_error(wall.sun, float(wall.sun.max())).min())
 
     return min(chains.values(), key=permitted)
+
+
+def _strictest_index(made: Setup, chains: Mapping[Sensor, Chain]) -> int:
+    return _strictest.get(tuple(chains), lambda: _strictest_by_a_wall(made, chains))
 
 
 def _strictest_by_a_wall(made: Setup, chains: Mapping[Sensor, Chain]) -> int:

@@ -1,16 +1,25 @@
 """A study: what is varied, over which values, and what is measured of each point."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from hashlib import sha256
+from numbers import Number
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PrivateAttr, StrictBool, ValidationError, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    StrictBool,
+    ValidationError,
+    model_validator,
+)
 
+from twin.fidelity.knobs import NONE
 from twin.files import InputError
 from twin.sweep.accuracy_names import check_accuracy
 from twin.sweep.methods import check_functions, check_methods
@@ -21,6 +30,23 @@ from twin.sweep.relevance import check_effects
 from twin.toml import Finite, Name, Strict, describe, read_toml
 
 Value = bool | int | float | str
+
+
+def _single(given: Any) -> Any:
+    if isinstance(given, str | Number | np.generic):
+        return given
+    raise InputError("expected a single value: a number, text, true or false")
+
+
+def _values(given: Any) -> Any:
+    is_list = isinstance(given, Iterable) and not isinstance(given, str | Mapping)
+    if is_list and all(isinstance(item, str | Number | np.generic) for item in given):
+        return given
+    raise InputError("expected a list of values")
+
+
+_Single = Annotated[Value, BeforeValidator(_single)]
+_Values = Annotated[list[Value], BeforeValidator(_values), Field(min_length=1)]
 
 
 class Range(Strict):
@@ -92,11 +118,11 @@ class Study(Strict):
     front: tuple[str, str] | None = None
     """Two of the metrics, by whose trade designs are chosen: points that cannot be on their Pareto
     front are computed to a coarse tolerance alone."""
-    set: dict[str, Value] = {}
+    set: dict[str, _Single] = {}
     """Parameters, by dotted name, that differ from scene and system in every point."""
-    grid: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
+    grid: dict[str, _Values] = {}
     """Parameters of which every combination of the values is a point."""
-    zip: list[dict[str, Annotated[list[Value], Field(min_length=1)]]] = []
+    zip: list[dict[str, _Values]] = []
     """Tables of parameters that change together."""
     sample: Sample | None = None
     """Points drawn from ranges."""
@@ -196,6 +222,16 @@ class Study(Strict):
     def n_points(self) -> int:
         """Points in all."""
         return math.prod(self.shape)
+
+    @property
+    def n_sharing(self) -> int:
+        """Points, one after another, that differ at most in what a new render is not needed for;
+        1 where what moves within a frame is followed, so that each has light of its own.
+        """
+        motion = "fidelity.motion_tolerance"
+        if motion in self.parameters and self.values_of(motion) != [NONE]:
+            return 1
+        return math.prod(len(axis) for axis in self.axes if not axis.is_optical)
 
     def point(self, index: int) -> dict[str, Value]:
         """What is set in a point, by parameter."""

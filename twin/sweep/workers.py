@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the number of points
 #: How long a scheduler may be without any worker, and how often it is looked at.
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
+_TRACKER = "ignore:resource_tracker:UserWarning"
 _SILENT = 50  # level of Dask's own messages: that of what is critical
 
 
@@ -68,17 +69,26 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
             watch = _Watch(client, scheduler)
             yield Submit(watch.send, watch.result, _AHEAD * watch.wait())
         return
-    cores = len(os.sched_getaffinity(0))
+    cores = n_cores()
     n = workers or cores
     threads = max(1, cores // n)
     with _local(n) as cluster, Client(cluster, set_as_default=False) as client:
         yield Submit(partial(_send, client, _on_threads, threads), _result, _AHEAD * n)
 
 
+def n_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
 def _local(n: int) -> "LocalCluster":
     """Processes here; of one that dies later another takes the place."""
     from distributed import LocalCluster
 
+    # What an interrupt or a kill leaves of them Python's tracker removes, a process that is given
+    # these options when it starts. It need not be told: nothing is lost.
+    if _TRACKER not in sys.warnoptions:
+        sys.warnoptions.append(_TRACKER)
     try:
         return LocalCluster(
             n_workers=n,

@@ -1,6 +1,6 @@
 """What throws the patterns."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -10,6 +10,8 @@ from twin.toml import Finite, Fraction, NonNegative, Positive, Sourced, Strict
 #: Float32 directions have steps of 3e-6 deg: below, a cell's edges are lost in them.
 FieldAngle = Annotated[Positive, Field(ge=2e-3, lt=170)]
 GridSize = Annotated[int, Field(strict=True, ge=1, le=1024)]
+#: What may be meant for light: a number in nm or um in place of m is beyond.
+_WAVELENGTHS_M = (1e-7, 1e-4)
 #: Bare elements are all told apart by a matrix of cells x cells.
 _MOST_BARE = 4096
 
@@ -21,6 +23,8 @@ class Emitter(Strict):
     ``viewing_angle_deg``, in every direction of the field; a single lit cell has that same radiant
     intensity inside its own solid angle.
     """
+
+    limits: ClassVar = {"peak_wavelength_m": _WAVELENGTHS_M, "line_fwhm_m": (1e-24, 1e-4)}
 
     rows: Sourced[GridSize]
     """Rows of cells, top to bottom."""

@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from hardware.formatting import setting_text
 from twin.files import InputError
+from twin.own_parts import check_own_parts
 from twin.toml.faults import no_such_field
 from twin.toml.sections import Name, Sourced, Strict, fields_set, label
 
@@ -91,7 +92,9 @@ class Entry(Strict):
             below = content.get(section)
             known = fields_set(below) if isinstance(below, BaseModel) else dict(below or {})
             content[section] = without_rivals(type(self), section, known, fields) | fields
-        return self._validated(content)
+        changed_entry = self._validated(content)
+        check_own_parts(changed_entry.values())
+        return changed_entry
 
     def _description_with(self, changed: Sequence[str]) -> str:
         """Of what differs in some fields more."""

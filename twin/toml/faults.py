@@ -48,7 +48,16 @@ def describe(
     ``file_keys``: by the name of a section, "" for none, keys that a file may have there beside the
     model's fields.
     """
-    every = error.errors()
+    return describe_faults(error.errors(), model, content, file_keys)
+
+
+def describe_faults(
+    every: Sequence[Any],
+    model: type[BaseModel],
+    content: Any,
+    file_keys: Mapping[str, Sequence[str]] = _NONE,
+) -> str:
+    """See `describe`, of some of its faults."""
     within = {fault["loc"][:n] for fault in every for n in range(1, len(fault["loc"]))}
     # Of a list, entries that are wrong count as none for pydantic: their own faults say it all.
     told = [f for f in every if f["type"] != "too_short" or f["loc"] not in within]

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from hardware.files import read_toml as read_checked
 from hardware.own_functions import is_file_function
 from twin.files import InputError
+from twin.own_parts import check_own_parts
 from twin.toml.entries import Entry, described_by, without_rivals
 from twin.toml.faults import describe
 from twin.toml.sections import Strict
@@ -31,7 +32,8 @@ def load_entry(
 
     ``base = "NAME"`` in a file takes everything that it leaves out from another entry, or from a
     file beside it; ``part = "NAME"`` in a section everything that the section leaves out from an
-    entry of ``parts``. Names of data files are relative to the file that gives them.
+    entry of ``parts``. Names of data files are relative to the file that gives them. Functions of a
+    user's own are looked up, and not run.
 
     Raises InputError, one line that begins with the file, or with ``kind`` where there is none.
     """
@@ -49,6 +51,10 @@ def load_entry(
     for field, value in entry.values():
         if is_data_file(field) and not Path(value.value).is_file():
             raise InputError(f"{path}: {field} = {value.value!r}: expected a file, there is none")
+    try:
+        check_own_parts(entry.values())
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     return entry
 
 

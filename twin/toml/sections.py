@@ -19,7 +19,7 @@ from pydantic import (
 
 from hardware.units import quantity, unit_of
 from twin.files import InputError
-from twin.toml.faults import describe
+from twin.toml.faults import describe, describe_faults
 from twin.toml.meanings import meanings
 
 T = TypeVar("T")
@@ -101,11 +101,31 @@ class Strict(_Model):
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
-        for name, (least, most) in self.limits.items():
-            sourced = getattr(self, name)
-            if sourced is not None and not least <= sourced.value <= most:
-                raise InputError(f"{name} = {sourced.value:g}: expected {least:g} to {most:g}")
+        for name in self.limits:
+            if (sourced := getattr(self, name)) is not None:
+                self._check_limit(name, sourced.value)
         return self
+
+    @classmethod
+    def _check_limit(cls, name: str, value: float) -> None:
+        least, most = cls.limits[name]
+        if not least <= value <= most:
+            raise InputError(f"{name} = {value:g}: expected {least:g} to {most:g}")
+
+    @classmethod
+    def check_alone(cls, name: str, value: Any) -> None:
+        """Raise InputError for a sourced value that no section of this kind may have, whatever
+        stands beside it.
+        """
+        content = {name: {"value": value, "assumed": "by itself"}}
+        try:
+            cls.model_validate(content)
+        except ValidationError as error:
+            own = [fault for fault in error.errors() if fault["loc"][:1] == (name,)]
+            if own:
+                raise InputError(describe_faults(own, cls, content)) from error
+        if name in cls.limits:
+            cls._check_limit(name, value)
 
     @classmethod
     def __get_pydantic_json_schema__(

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from hardware.formatting import number, si
 from hardware.units import quantity
 from twin.camera import capture
+from twin.camera.render_warnings import is_out_of_paths
 from twin.errors import InputError
 from twin.fidelity import DEFAULT, PRESETS, Fidelity, Tolerance
 from twin.fidelity.knobs import is_number
@@ -20,6 +21,8 @@ from twin.scene import Scene, load_scene
 from twin.scene.mitsuba import mitsuba_scene
 from twin.system import System, load_system
 
+#: A frame, to its warnings.
+_Frame = Callable[[Fidelity], Iterable[str]]
 #: Tolerances that are tried, each half of the one before.
 _SHARES = tuple(2.0 / 2**step for step in range(10))
 #: Of a frame's time from one tolerance to its half at least, before two have been measured.
@@ -81,7 +84,8 @@ def fidelity_within(
 ) -> TimedFidelity:
     """The smallest tolerance at which a frame takes no longer than ``frame_s`` on this machine,
     a number or text with a unit, for the camera and the radar each; from 2 of the sensor's noise
-    down to 0.004. What else the radar models, such as its bounces, is as by default.
+    down to 0.004, or to what the limit of paths reaches. What else the radar models, such as its
+    bounces, is as by default.
 
     Where even the largest takes longer, coarser knobs are tried: nothing moves within the camera's
     frame, then that with `draft`; of the radar `draft`, then `paths`, then `targets` alone. Their
@@ -108,9 +112,9 @@ def fidelity_within(
     if system is not None:
         sensor, rendered = load_system(system), mitsuba_scene(world)
 
-        def image(fidelity: Fidelity) -> object:
+        def image(fidelity: Fidelity) -> Iterable[str]:
             given = fidelity.with_(always)
-            return capture(world, sensor, seed=seed, fidelity=given, mesh_scene=rendered)
+            return capture(world, sensor, seed=seed, fidelity=given, mesh_scene=rendered).warnings
 
         camera = _best("camera", image, limit_s, always)
         if camera.coarser:
@@ -120,8 +124,9 @@ def fidelity_within(
     if radar is not None:
         design = load_radar(radar)
 
-        def burst(fidelity: Fidelity) -> object:
-            return radar_capture(world, design, seed=seed, fidelity=fidelity.with_(always))
+        def burst(fidelity: Fidelity) -> Iterable[str]:
+            given = fidelity.with_(always)
+            return radar_capture(world, design, seed=seed, fidelity=given).warnings
 
         echoes = _best("radar", burst, limit_s, always)
         if echoes.coarser:
@@ -153,7 +158,7 @@ def _with(knobs: Fidelity, other: Fidelity, sensor: type) -> Fidelity:
 
 def _best(
     sensor: str,
-    frame: Callable[[Fidelity], object],
+    frame: _Frame,
     limit_s: float,
     fixed: Mapping[str, Any] | None = None,
 ) -> TimedShare:
@@ -163,7 +168,7 @@ def _best(
         return largest
     for name, fidelity in _coarser(sensor, fixed or {}).items():
         frame(fidelity)  # compiles
-        took_s = _time_s(frame, fidelity)
+        took_s, _ = _timed(frame, fidelity)
         if took_s <= limit_s:
             return TimedShare(math.inf, took_s, name)
     raise InputError(
@@ -173,30 +178,32 @@ def _best(
     )
 
 
-def _time_s(frame: Callable[[Fidelity], object], fidelity: Fidelity) -> float:
-    """What a frame may take, from one."""
+def _timed(frame: _Frame, fidelity: Fidelity) -> tuple[float, bool]:
+    """What a frame may take, from one, and whether its paths suffice."""
     start = time.perf_counter()
-    frame(fidelity)
-    return (time.perf_counter() - start) / _OF_LIMIT
+    warnings = frame(fidelity)
+    return (time.perf_counter() - start) / _OF_LIMIT, not is_out_of_paths(warnings)
 
 
-def finest(frame: Callable[[Fidelity], object], limit_s: float) -> TimedShare:
-    """The last of the tolerances that stays within the limit, as far as the next ones are worth
-    trying: a frame takes the longer, the smaller the tolerance. The largest, where none does.
+def finest(frame: _Frame, limit_s: float) -> TimedShare:
+    """The last of the tolerances that stays within the limit, and that the limit of paths reaches,
+    as far as the next ones are worth trying: a frame takes the longer, the smaller the tolerance.
+    The largest, where none does.
     """
 
-    def timed(share: float) -> TimedShare:
+    def timed(share: float) -> tuple[TimedShare, bool]:
         knobs = replace(_of_light(DEFAULT, share), radar_tolerance=share / 2)
-        return TimedShare(share, _time_s(frame, knobs))
+        took_s, reached = _timed(frame, knobs)
+        return TimedShare(share, took_s), reached
 
     timed(_SHARES[0])  # compiles
-    best = timed(_SHARES[0])
+    best, _ = timed(_SHARES[0])
     growth = _LEAST_GROWTH
     for share in _SHARES[1:]:
         if best.frame_s * growth > limit_s:
             break
-        tried = timed(share)
-        if tried.frame_s > limit_s:
+        tried, reached = timed(share)
+        if tried.frame_s > limit_s or not reached:
             break
         growth = max(tried.frame_s / best.frame_s, _LEAST_GROWTH)
         best = tried

@@ -73,7 +73,7 @@ class Waveform(Strict):
         if self.function is None:
             assert self.symbols is not None
             return self.symbols.value
-        own = own_part("waveform.function", self.function.value, "waveform")
+        own = own_part("waveform.function", self.function.value)
         try:
             return own_symbols(own(self))
         except InputError as error:
