@@ -27,6 +27,7 @@ _ALIKE = 1e-4  # difference of direction cosines of one lobe
 _UNEVEN = 1e-3  # power that calibration errors of the channels take from a single target's beam
 _FALSE_ALARM = 1e-4  # of a single target that is taken for several
 _ROUNDING = 1e-9  # of the power, where there is no noise
+_ROUNDS = 4  # for antennas up to a tenth of a wavelength before or behind their plane
 _EQUALLY_LIKELY = 0.1  # difference of the logarithms of likelihoods that tells nothing
 
 
@@ -126,16 +127,15 @@ def direction(
         That of the channels.
     """
     rates = np.atleast_1d(np.asarray(delay_rates, dtype=np.float64))
-    places = plane.places
     cosines = np.empty((len(rates), 2))
     share = np.empty(len(rates))  # of the power that one direction explains
     alike = _UNEVEN + _EQUALLY_LIKELY * noise.mean_w / max(_power_w(amplitude), 1e-300)
     for i, rate in enumerate(rates):
         still = compensate_motion(amplitude, burst, rate)
-        cosines[i] = _most_likely(still, plane, alike)
-        share[i] = _shares(cosines[i], still, places)
+        cosines[i], share[i] = _found(still, plane, alike)
     best = int(np.argmax(share * (1 - 1e-6 * np.arange(len(rates)))))
-    phases = compensate_motion(steering(places, cosines[best]).conj(), burst, rates[best]).conj()
+    wave = plane.flattened(steering(plane.places, cosines[best]).conj(), cosines[best])
+    phases = compensate_motion(wave, burst, rates[best]).conj()
     left, up = _left_and_up(plane, plane.directions(cosines[[best]])[0, 0])
     left_error, up_error, correlation = _errors(plane, cosines[best], amplitude, phases, noise)
     apart_w = _between_transmitters(noise, phases, burst)
@@ -145,7 +145,8 @@ def direction(
     left_open = snr * (share.max() - share) < CERTAIN if fits else np.ones(len(share), dtype=bool)
     left_open[best] = False
     still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
-    others = _other_directions(still, cosines[best], plane, at_rest)
+    flat = plane.flattened(still, cosines[best])
+    others = _other_directions(flat, cosines[best], plane, at_rest)
     return Direction(
         left,
         up,
@@ -157,6 +158,17 @@ def direction(
         fits,
         correlation,
     )
+
+
+def _found(amplitude: Complex, plane: ArrayPlane, alike: float) -> tuple[Array, float]:
+    """Direction cosines (2,) that explain most, and of which share of the power. What channels
+    before the plane add is taken out as found so far, at first as of a target ahead of it.
+    """
+    cosines = np.zeros(2)
+    for _ in range(1 if plane.is_flat else _ROUNDS):
+        cosines = _most_likely(plane.flattened(amplitude, cosines), plane, alike)
+    flat = plane.flattened(amplitude, cosines)
+    return cosines, float(_shares(cosines, flat, plane.places))
 
 
 def _left_and_up(plane: ArrayPlane, toward: Array) -> tuple[float, float]:

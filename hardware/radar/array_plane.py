@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from hardware.radar.burst import DemodulatedBurst
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 
-_FLAT = 1e-3  # wavelengths: extent along which nothing is told of a direction
-_BULGE = 5e-3  # wavelengths: extent across its plane that leaves an array flat
+_FLAT = 0.1  # wavelengths: extent along which nothing is told of a direction
+_EXACT = 1e-3  # wavelengths: extent ahead that leaves an array straight ahead
 _STEEPEST = 0.5  # cosine: turned farther, most directions ahead are seen with their mirror images
 _AHEAD, _LEFT, _UP = np.eye(3)
 
@@ -26,21 +27,23 @@ _AHEAD, _LEFT, _UP = np.eye(3)
 class ArrayPlane:
     """Where channels are, (n_channels, 2), along two axes in wavelengths, and of which of these
     they have an extent, ``seen`` (2,); the ``axes`` and the plane's normal in the antenna's frame,
-    (3, 3) in rows. The axes are left and up where the array faces straight ahead.
+    (3, 3) in rows; how far channels are before the plane, ``ahead`` (n_channels,), in wavelengths.
+    The axes are left and up where the array faces straight ahead.
     """
 
     places: Array
     seen: Flags
     axes: Array
+    ahead: Array
 
     @staticmethod
     def of(burst: DemodulatedBurst) -> "ArrayPlane | None":
-        """That of a burst's channels; None of those that tell no direction: they are in one place,
-        or in no plane that faces ahead within 60 degrees.
+        """That of a burst's channels; None of those that tell no direction: within a tenth of a
+        wavelength they are in one place, or in no plane that faces ahead within 60 degrees.
         """
         places = virtual_array(burst) / burst.waveform.wavelength_m
         centred = places - places.mean(axis=0)
-        faces_ahead = extents(places)[0] <= _FLAT
+        faces_ahead = extents(places)[0] <= _EXACT
         if faces_ahead:
             centred[:, 0] = 0.0
         across = np.linalg.svd(centred)[2]  # by extent, the largest first
@@ -49,13 +52,25 @@ class ArrayPlane:
             return None
         if extent[1] <= _FLAT:
             axes, seen = _of_line(across[0])
-        elif extent[2] > _BULGE:
+        elif extent[2] > _FLAT:
             return None
         else:
             axes, seen = _of_plane(_AHEAD if faces_ahead else across[2]), np.array([True, True])
         if seen.all() and axes[2] @ _AHEAD < _STEEPEST:
             return None
-        return ArrayPlane(places @ axes[:2].T, seen, axes)
+        return ArrayPlane(places @ axes[:2].T, seen, axes, centred @ axes[2])
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether all channels are in the plane."""
+        return bool(np.ptp(self.ahead) <= _EXACT)
+
+    def flattened(self, amplitude: Complex, cosines: Array) -> Complex:
+        """Amplitudes of a plane wave from about these cosines (2,) as if all channels were in the
+        plane.
+        """
+        across = np.sqrt(max(1 - float(cosines @ cosines), 0.0))
+        return np.asarray(amplitude * np.exp(-2j * np.pi * self.ahead * across))
 
     @property
     def faces_ahead(self) -> bool:

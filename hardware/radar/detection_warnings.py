@@ -120,7 +120,7 @@ def ambiguous(points: list[Detection]) -> list[str]:
 def without_directions(interval: DemodulatedBurst) -> list[str]:
     """A warning of an array whose places tell directions, but which `ArrayPlane` does not take."""
     extent_m = extents(virtual_array(interval))
-    if extent_m.max() <= 1e-3 * interval.waveform.wavelength_m:
+    if extent_m.max() <= 0.1 * interval.waveform.wavelength_m:
         return []
     return [
         "direction: none is told, since the antennas are in no plane that faces ahead within 60 "

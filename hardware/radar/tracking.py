@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 #: ambiguous.
 Readings = tuple[TargetMeasurement, ...]
 
+_STEEP = 0.1  # least cosine of an elevation by which rates are divided
 _NEVER = 1e9  # cost of an impossible pair, far above any other
 
 
@@ -39,9 +40,9 @@ _NEVER = 1e9  # cost of an impossible pair, far above any other
 class TargetTrack:
     """Track of one target: state, covariance and history.
 
-    ``state`` is (x, y, vx, vy) in the world, m and m/s; or, of a target whose azimuth was never
-    measured, (range, range rate) from the antenna. ``hits`` frames with a detection, ``missed``
-    frames in a row without.
+    ``state`` is (x, y, vx, vy) along the ground in the world, m and m/s; or, of a target whose
+    azimuth was never measured, (range, range rate) from the antenna. ``hits`` frames with a
+    detection, ``missed`` frames in a row without.
     """
 
     number: int
@@ -194,14 +195,28 @@ def _near(
 def _measurements(detection: Detection) -> Readings:
     """Possible measurements of a detection, likeliest first: with an alternative range rate the
     azimuth is another one, which is not known.
+
+    Where azimuth and elevation are told, range and rate are those along the ground: r cos(el) of a
+    range r, and the rate over cos(el) of a target that stays at its height.
     """
+    elevation, slope_m = 0.0, 0.0
+    angles = detection.azimuth_rad, detection.elevation_rad, detection.elevation_error_rad
+    if np.isfinite(angles).all():
+        elevation = detection.elevation_rad
+        slope_m = detection.range_m * np.sin(elevation) * detection.elevation_error_rad
+    level = max(float(np.cos(elevation)), _STEEP)
+    range_m, range_error_m = level * detection.range_m, level * detection.range_error_m
     error = np.array(
-        [detection.range_error_m, detection.azimuth_error_rad, detection.range_rate_error_m_per_s]
+        [
+            np.hypot(range_error_m, slope_m),
+            detection.azimuth_error_rad,
+            detection.range_rate_error_m_per_s / level,
+        ]
     )
     azimuths = (detection.azimuth_rad, *detection.azimuth_alternatives_rad)
-    values = [(detection.range_m, azimuth, detection.range_rate_m_per_s) for azimuth in azimuths]
+    values = [(range_m, azimuth, detection.range_rate_m_per_s / level) for azimuth in azimuths]
     values += [
-        (detection.range_m, np.nan, rate) for rate in detection.range_rate_alternatives_m_per_s
+        (range_m, np.nan, rate / level) for rate in detection.range_rate_alternatives_m_per_s
     ]
     return tuple(TargetMeasurement(np.array(value), error) for value in values)
 
