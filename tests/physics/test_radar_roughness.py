@@ -17,10 +17,12 @@ from tests.physics.radar_worlds import (
     world,
 )
 from twin.fidelity import Fidelity, Tolerance
+from twin.radar.propagation import physical_optics
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.roughness import _clutter, _most_clutter
 from twin.radar.propagation.scene.culling import noise_amplitude
 from twin.radar.propagation.solvers import trace
+from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene
 
 ONCE = Fidelity(radar="auto", radar_bounces=1)
@@ -229,3 +231,34 @@ def test_what_is_bounded_without_points_is_no_brighter_with_them() -> None:
         ratio.append(bound / max(_clutter(alone, RADAR, item, 0.1), 1e-12))
     assert min(ratio) >= 1
     assert np.median(ratio) < 10
+
+
+def test_between_facing_walls_clutter_comes_by_two_reflections_on_a_way_at_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a body more are followed there. Each point has as many paths as there are pairs of images,
+    by which a room of five walls took minutes and gigabytes.
+    """
+    walls = [
+        quad(
+            name,
+            [[-4, y, -2], [14, y, -2], [14, y, 2], [-4, y, 2]],
+            "asphalt",
+            radar="surface",
+        )
+        for name, y in (("left", 1.0), ("right", -1.5))
+    ]
+    scene = replace(world(*walls, plate("sign", (5, 0, 0), 0.2)), materials=surface(0.003, 0.1))
+    orders: list[int] = []
+
+    def no_echoes(context, _anchor, surfaces, *_: object) -> Contributions:
+        of_image = np.array(context.orders)
+        orders.extend(int(of_image[source]) for one in surfaces for source in one.sources)
+        return Contributions.none()
+
+    monkeypatch.setattr(physical_optics, "clutter_echoes", no_echoes)
+    wide = RADAR.with_({"antenna.gain_dbi": 3.0103})
+    found = trace(scene, wide, fidelity=Tolerance().knobs().with_(radar="rough"))
+    assert max(orders) == 2
+    bodies = found.contributions.take(slice(len(found.names), None))
+    assert bodies.source.max() > max(orders)

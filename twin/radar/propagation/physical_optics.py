@@ -21,7 +21,7 @@ from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
 from twin.radar.propagation.facets.error_budget import bin_m
 from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
-from twin.radar.propagation.facets.reflections import ReflectionChoice
+from twin.radar.propagation.facets.reflections import LEAST_IMAGES, ReflectionChoice
 from twin.radar.propagation.facets.scatterers import scatterers
 from twin.radar.propagation.facets.validity import still_valid
 from twin.radar.propagation.meshes.grouping import bodies_of
@@ -289,9 +289,12 @@ def surface_clutter(
     scene: Scene, prepared: PreparedScene, rough: Collection[str], fidelity: Fidelity
 ) -> tuple[Contributions, list[str]]:
     """Contributions of the objects that count as ``rough``, by name, and which ones have no gamma
-    or one that is assumed.
+    or one that is assumed. Where bounds decide, as in rooms, by two reflections on a way at most:
+    there are as many paths to each point as pairs of images.
     """
     surfaces, remarks, motions = [], [], prepared.motions
+    most = LEAST_IMAGES if fidelity.radar_images is None else fidelity.radar_images
+    few = np.array([len(image.patches) <= most for image in prepared.images])
     for number, item in enumerate(prepared.items):
         if item.name not in rough:
             continue
@@ -301,7 +304,7 @@ def surface_clutter(
             remarks.append(f"{item.name}: {item.material} has no gamma, it does not scatter")
         elif gamma.value:
             is_slab = number >= len(prepared.world.items) and item.thickness_m is None
-            sources = tuple(np.flatnonzero(prepared.worth[:, number]).tolist())
+            sources = tuple(np.flatnonzero(prepared.worth[:, number] & few).tolist())
             surfaces.append(SurfaceClutter(item, number, gamma.value, is_slab, sources, motions))
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
