@@ -145,8 +145,8 @@ def direction(
     left_open = snr * (share.max() - share) < CERTAIN if fits else np.ones(len(share), dtype=bool)
     left_open[best] = False
     still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
-    flat = plane.flattened(still, cosines[best])
-    others = _other_directions(flat, cosines[best], plane, at_rest)
+    flat = plane.flattened(np.ones_like(amplitude), cosines[best])
+    others = _other_directions(flat * still, cosines[best], plane, _turned(at_rest, flat))
     return Direction(
         left,
         up,
@@ -256,8 +256,12 @@ def at_one_time(
 ) -> tuple[Complex, ChannelNoise]:
     """Amplitudes and their noise by `compensate_motion`."""
     turn = compensate_motion(np.ones_like(amplitude), burst, delay_rate)
-    turned = turn[:, None] * noise.covariance_w * turn.conj()
-    return turn * amplitude, replace(noise, covariance_w=turned)
+    return turn * amplitude, _turned(noise, turn)
+
+
+def _turned(noise: ChannelNoise, turn: Complex) -> ChannelNoise:
+    """Noise of amplitudes that are multiplied by a phase of each channel (n_channels,)."""
+    return replace(noise, covariance_w=turn[:, None] * noise.covariance_w * turn.conj())
 
 
 def _power_w(amplitude: Complex) -> float:
@@ -273,7 +277,7 @@ def _most_likely(amplitude: Complex, plane: ArrayPlane, alike: float) -> Array:
     lobes = _lobes(amplitude, plane, None)
     shares = _shares(lobes, amplitude, plane.places)
     equal = lobes[shares >= shares[0] - alike]
-    return np.asarray(equal[np.argmin(np.sum(equal**2, axis=1))])
+    return np.asarray(equal[np.argmax(plane.directions(equal)[:, 0, 0])])
 
 
 def _lobes(amplitude: Complex, plane: ArrayPlane, least: float | None) -> Array:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 
-_FLAT = 0.1  # wavelengths: extent along which nothing is told of a direction
+FLAT = 0.1  # wavelengths: extent along which nothing is told of a direction
 _EXACT = 1e-3  # wavelengths: extent ahead that leaves an array straight ahead
 _STEEPEST = 0.5  # cosine: turned farther, most directions ahead are seen with their mirror images
 _AHEAD, _LEFT, _UP = np.eye(3)
@@ -48,11 +48,11 @@ class ArrayPlane:
             centred[:, 0] = 0.0
         across = np.linalg.svd(centred)[2]  # by extent, the largest first
         extent = extents(centred @ across.T)
-        if extent[0] <= _FLAT:
+        if extent[0] <= FLAT:
             return None
-        if extent[1] <= _FLAT:
+        if extent[1] <= FLAT:
             axes, seen = _of_line(across[0])
-        elif extent[2] > _FLAT:
+        elif extent[2] > FLAT:
             return None
         else:
             axes, seen = _of_plane(_AHEAD if faces_ahead else across[2]), np.array([True, True])

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hardware.radar.array_plane import extents, virtual_array
+from hardware.radar.array_plane import FLAT, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
 from hardware.radar.detection import Detection
@@ -120,7 +120,7 @@ def ambiguous(points: list[Detection]) -> list[str]:
 def without_directions(interval: DemodulatedBurst) -> list[str]:
     """A warning of an array whose places tell directions, but which `ArrayPlane` does not take."""
     extent_m = extents(virtual_array(interval))
-    if extent_m.max() <= 0.1 * interval.waveform.wavelength_m:
+    if extent_m.max() <= FLAT * interval.waveform.wavelength_m:
         return []
     return [
         "direction: none is told, since the antennas are in no plane that faces ahead within 60 "

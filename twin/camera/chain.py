@@ -141,10 +141,9 @@ class Chain:
     def passed(self, rendered: "RenderedLight") -> Array:
         """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
         view = rendered.truth, rendered.emitter, rendered.detector
-        return self._of_view("cells", view, lambda: self._passed(rendered))
-
-    def _passed(self, rendered: "RenderedLight") -> Array:
-        return _by_detector(share_of_cells(rendered, self.sky), self.system)
+        return self._of_view(
+            "cells", view, lambda: _by_detector(share_of_cells(rendered, self.sky), self.system)
+        )
 
     def _of_view(self, what: str, view: tuple[object, ...], found: Callable[[], Array]) -> Array:
         """What is found of a view; asked again of the same objects it is not computed anew."""

@@ -163,14 +163,14 @@ class PermittedError:
         """What sunlight of the ``largest`` level everywhere adds to `_dark_variance`; asked again
         it is not computed anew.
         """
-        if largest not in self._added:
+        if (asked := (shape, largest)) not in self._added:
             bright, unlit = (self._dark_variance(np.full(shape, x)) for x in (largest, 0.0))
-            self._added[largest] = bright - unlit
-        return self._added[largest]
+            self._added[asked] = bright - unlit
+        return self._added[asked]
 
     @cached_property
-    def _added(self) -> dict[float, Array]:
-        """What `_added_by` found, by level."""
+    def _added(self) -> dict[tuple[tuple[int, ...], float], Array]:
+        """What `_added_by` found."""
         return {}
 
     def _dark_variance(self, sun: Array) -> Array:

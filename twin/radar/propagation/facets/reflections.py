@@ -5,8 +5,9 @@ by reflections at bodies, and by reflections at large surfaces, on the way with 
 further reflections add is bounded by what the coarse pass found of them: their sum over the band as
 it stands, the rms of what it left out as faint, and three times the errors that it accepted of
 them, as in the estimate of a body's error. Reflections beyond those that it follows are told with
-the bound of the last ones: a reflection adds no power. In rooms, where each reflection more leads
-to more images, they go on as the last ones do beside those before, and their powers add.
+the bound of the last ones: a reflection adds no power. In rooms, where one reflection more has
+images at more places, further orders are extrapolated: each is to the one before as the last is to
+its own, and their powers add.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ MOST_BOUNCES = 6
 #: Reflections at large surfaces that it follows, on the way out and back each; the most where few
 #: images of the radar and few facets let it.
 LEAST_IMAGES, MOST_IMAGES = 2, 16
-_ENDLESS = 0.95  # at most: what one more reflection in a room adds over that of the last one
+_ENDLESS = 0.95  # at most: what an order of images in a room adds over the one before
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
 
