@@ -145,8 +145,8 @@ def direction(
     left_open = snr * (share.max() - share) < CERTAIN if fits else np.ones(len(share), dtype=bool)
     left_open[best] = False
     still, at_rest = at_one_time(amplitude, noise, burst, rates[best])
-    flat = plane.flattened(np.ones_like(amplitude), cosines[best])
-    others = _other_directions(flat * still, cosines[best], plane, _turned(at_rest, flat))
+    flat = plane.flattened(still, cosines[best])
+    others = _other_directions(flat, cosines[best], plane, at_rest)
     return Direction(
         left,
         up,
@@ -256,12 +256,8 @@ def at_one_time(
 ) -> tuple[Complex, ChannelNoise]:
     """Amplitudes and their noise by `compensate_motion`."""
     turn = compensate_motion(np.ones_like(amplitude), burst, delay_rate)
-    return turn * amplitude, _turned(noise, turn)
-
-
-def _turned(noise: ChannelNoise, turn: Complex) -> ChannelNoise:
-    """Noise of amplitudes that are multiplied by a phase of each channel (n_channels,)."""
-    return replace(noise, covariance_w=turn[:, None] * noise.covariance_w * turn.conj())
+    turned = turn[:, None] * noise.covariance_w * turn.conj()
+    return turn * amplitude, replace(noise, covariance_w=turned)
 
 
 def _power_w(amplitude: Complex) -> float:

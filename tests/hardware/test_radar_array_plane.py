@@ -18,8 +18,10 @@ from tests.hardware.test_radar_channel_noise import HALF_M, PLANAR, drawn
 
 LINE = HALF_M * np.array([[0, i - 3.5, 0] for i in range(8)])
 PLATE = HALF_M * np.array([[0, i - 1.5, k - 1.5] for i in range(4) for k in range(4)])
-#: By which antennas are beside where they should be: up to 0.03 wavelengths.
-BULGES = 0.03 * WIDE.wavelength_m * np.random.default_rng(2).uniform(-1, 1, (16, 3))
+#: Of which azimuth and elevation err together.
+SHEARED = PLATE @ np.array([[1, 0, 0], [0, 1, 0], [0, 0.8, 1]])
+#: By which antennas are beside where they should be: up to 0.045 wavelengths.
+BULGES = 0.045 * WIDE.wavelength_m * np.random.default_rng(2).uniform(-1, 1, (16, 3))
 
 
 def turned(places_m: np.ndarray, **degrees: float) -> np.ndarray:
@@ -63,6 +65,8 @@ def bounds_rad(burst: DemodulatedBurst, angles: np.ndarray, snr: float) -> np.nd
         (LINE, {"roll": 20.0}, (22.0, 0.0)),
         (LINE, {"roll": 90.0, "pitch": 12.0}, (0.0, -25.0)),
         (PLATE, {}, (55.0, 40.0)),
+        (SHEARED, {}, (55.0, 40.0)),
+        (SHEARED, {}, (-55.0, 40.0)),
         (PLATE, {"pitch": 10.0}, (20.0, 13.0)),
         (PLATE, {"yaw": 30.0, "pitch": -20.0, "roll": 35.0}, (-15.0, 30.0)),
         (PLANAR["receivers_m"] + PLATE[:4], {"yaw": 0.2}, (10.0, 0.0)),
@@ -110,6 +114,31 @@ def test_lines_of_rounded_places_are_lines(step_m: float) -> None:
         way = direction(amplitude, burst, 0.0, ChannelNoise.white(8, 1.0), plane)
         ways = [way, *way.alternatives]
         assert min(abs(w.azimuth_rad - at[0]) / w.azimuth_error_rad for w in ways) < 4.5
+
+
+def test_of_lobes_that_are_alike_the_one_nearest_ahead_comes_first() -> None:
+    """A line of antennas a wavelength apart, turned by 50 degrees: -10 degrees looks like 57.7,
+    which is nearer to the line's own normal.
+    """
+    burst = at_rest(receivers_m=turned(2 * LINE, yaw=50.0))
+    amplitude = 30 * np.exp(1j * phases(burst, np.radians([-10.0, 0.0])))
+    found = direction(amplitude, burst, 0.0, ChannelNoise.white(8, 1.0), ArrayPlane.of(burst))
+    azimuths = [found.azimuth_rad, *(other.azimuth_rad for other in found.alternatives)]
+    assert np.degrees(azimuths) == pytest.approx([-10.0, 57.7], abs=0.2)
+
+
+def test_a_lobe_behind_is_never_the_likeliest() -> None:
+    """Antennas about a wavelength apart, turned by 50 degrees: a target at 40 degrees has a second
+    lobe at 106, which noise raises above the first one in a part of the draws.
+    """
+    places_m = 2 * HALF_M * np.array([[0, y, 0] for y in (0.0, 1.02, 2.0, 3.05, 4.1)])
+    burst = at_rest(receivers_m=turned(places_m, yaw=50.0))
+    plane, rng = ArrayPlane.of(burst), np.random.default_rng(5)
+    wave = np.exp(1j * phases(burst, np.radians([40.0, 0.0])))
+    for _ in range(100):
+        amplitude = 2 * wave + drawn(rng, np.eye(5))
+        way = direction(amplitude, burst, 0.0, ChannelNoise.white(5, 1.0), plane)
+        assert np.degrees(way.azimuth_rad) == pytest.approx(40.0, abs=25.0)
 
 
 @pytest.mark.parametrize(("at_deg", "told_deg"), [(10.0, [10.0]), (-30.0, [-30.0, -60.0])])
