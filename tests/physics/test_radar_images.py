@@ -255,6 +255,19 @@ def test_a_closed_room_of_metal_states_what_further_reflections_add() -> None:
     assert 0.5 * body.level_amplitude < off < body.estimated_error * body.level_amplitude
 
 
+@pytest.mark.parametrize(("has_ceiling", "is_room"), [(False, False), (True, True)])
+def test_orders_grow_by_places_not_by_ways_to_them(has_ceiling: bool, is_room: bool) -> None:
+    """Walls at right angles give one place by several orders of reflections: between two walls over
+    a floor each further order has as many places as the one before, between four walls more.
+    """
+    ceiling = quad("ceiling", [[-4, -6, 1.2], [14, -6, 1.2], [14, 6, 1.2], [-4, 6, 1.2]])
+    thing = ball("ball", (5.0, 0.2, 0), level=1)
+    scene = world(*CORRIDOR, LEVEL, *[ceiling] * has_ceiling, thing)
+    roles = assign_scattering_models(scene, WAVELENGTH_M, with_optics=True)
+    _, further = prepare_scene(scene, WIDE, roles, 4, many=40).up_to(3)
+    assert further.objects.max() == (pytest.approx(1.5) if is_room else 1.0)
+
+
 def test_declared_points_tell_that_more_reflections_lead_to_them() -> None:
     """Between four walls, of whose images of five reflections there are too many."""
     ceiling = quad("ceiling", [[-4, -6, 1.2], [14, -6, 1.2], [14, 6, 1.2], [-4, 6, 1.2]])
