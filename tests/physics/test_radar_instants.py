@@ -3,6 +3,7 @@ against closed forms in mpmath, and against the scene traced anew at single slot
 """
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from tests.physics.radar_worlds import (
 )
 from tests.physics.retraced import errors_by_body
 from tests.physics.test_radar_rotation import ROWS, STILL, carried, dihedral, off
+from twin.fidelity import Tolerance
 from twin.motion import Product, Still, Straight, Swinging, Trajectory, Turning
 from twin.radar.acquisition import channel, radar_capture
 from twin.radar.device.burst import blended_channel, burst_channel
@@ -186,7 +188,7 @@ def test_what_one_instant_tells_is_traced_once_with_the_same_bits() -> None:
         found = traced_interval(scene, RADAR, OPTICS, 1)
         once = trace(scene, RADAR, fidelity=OPTICS)
         assert not found.instants
-        assert [line.endswith("left out") for line in on_interval(found)] == [True] * bool(course)
+        assert [": left out" in line for line in on_interval(found)] == [True] * bool(course)
         for name, values in vars(once.contributions).items():
             np.testing.assert_array_equal(values, getattr(found.contributions, name))
 
@@ -350,6 +352,23 @@ def test_what_reflections_change_by_is_stated_and_warned_of(size_m: float, yaw_d
     assert body.estimated_error - body.systematic < off
     assert any("with reflections the echo of d" in line for line in found.warnings)
     assert not any("direct echo of d" in line for line in found.warnings)
+
+
+def test_times_of_decisions_are_most_of_the_time_and_no_more() -> None:
+    """Of a dihedral that passes: reflections, and the traces that tell that it changes, by which it
+    is left out. What two bodies have is divided between them.
+    """
+    moving = dihedral("d", (5.0, 0.3, 0.0), 0.15).following(Straight((0.0, 20.0, 0.0)))
+    knobs = Tolerance().knobs()
+    began_s = perf_counter()
+    found = traced_interval(world(moving, dihedral("e", (7.0, -2.0, 0.0), 0.1)), RADAR, knobs, 1)
+    whole_s = perf_counter() - began_s
+    decided = {d.effect: d for d in found.decisions if d.cost_s > 0}
+    of_d, of_e = (decided[f"reflections at bodies beyond 1, {name}"] for name in "de")
+    assert of_d.cost_s == of_e.cost_s
+    (of_motion,) = (d for effect, d in decided.items() if "within an interval" in effect)
+    assert not of_motion.taken
+    assert 0.3 * whole_s < sum(d.cost_s for d in decided.values()) <= whole_s
 
 
 def test_direct_echoes_are_compared_of_what_moves_and_of_what_it_may_hide() -> None:

@@ -29,7 +29,8 @@ class Decision:
         one that no model follows, such as reflections beyond the last: its bound is in the
         systematic error all the same.
     cost_s
-        Time that it took, NaN where it was not measured or not taken.
+        Time that it took; of what is left out, that finding this out took by traces of its own. NaN
+        where it was not measured.
     body
         The name in ``effect`` of what it is of, where others may have the same effect.
     is_told

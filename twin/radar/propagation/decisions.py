@@ -84,7 +84,8 @@ def on_reflections(
 
     ``kinds``: which of both, ``bounces`` and ``images``, were decided on; ``level`` (n_bodies,):
     what errors of their echoes are relative to, without the front end's losses; ``permitted``,
-    relative to these.
+    relative to these. The time of reflections at bodies is divided among those that have them;
+    echoes over large surfaces are computed together with direct ones.
     """
     decisions: list[Decision] = []
     strongest = np.argsort(-level, kind="stable")
@@ -94,23 +95,30 @@ def on_reflections(
         left_out, without = (
             getattr(part, kind) / level for part in (choice.left_out, choice.without)
         )
+        is_followed = most > least
+        cost_s = choice.cost_s if kind == "bounces" else math.nan
+        cost_of_each_s = cost_s / max(int(is_followed.sum()), 1)
         for number, bound, which in (
-            (most - 1, without, most > least),
+            (most - 1, without, is_followed),
             (most, left_out, np.ones(len(level), dtype=bool)),
         ):
             some = strongest[which[strongest]]
             is_taken = number is not most
+            took_s = cost_of_each_s if is_taken else math.nan
             for body in some[:_NAMED]:
                 name = label_of(objects[body])
                 effect = f"{what} beyond {number[body]}, {name}"
                 at_most = float(bound[body])
                 decisions.append(
-                    Decision("radar", effect, at_most, permitted, UNIT, is_taken, body=name)
+                    Decision("radar", effect, at_most, permitted, UNIT, is_taken, took_s, name)
                 )
             if len(some) > _NAMED:
-                effect = f"further {what}, {len(some) - _NAMED} fainter bodies"
-                most_of = float(bound[some[_NAMED:]].max())
-                decisions.append(Decision("radar", effect, most_of, permitted, UNIT, is_taken))
+                fainter = some[_NAMED:]
+                effect = f"further {what}, {len(fainter)} fainter bodies"
+                most_of, all_s = float(bound[fainter].max()), took_s * len(fainter)
+                decisions.append(
+                    Decision("radar", effect, most_of, permitted, UNIT, is_taken, all_s)
+                )
     return (*decisions, *_on_coarse_tubes(choice.undivided / level, objects, permitted))
 
 

@@ -202,7 +202,7 @@ def scattered_by(
         footprints=tuple(search.footprints or ()),
         spacing_m=(budget.spacing_m, spacing_m),
         n_reused=0 if valid is None else len(valid.contributions),
-        choice=_choice(tally, search.limits, budget, valid),
+        choice=_choice(tally, search, budget, valid),
     )
 
 
@@ -223,12 +223,12 @@ def _leaves_out_too_much(tally: Tally, limits: Limits, budget: Budget) -> NDArra
 
 
 def _choice(
-    tally: Tally | None, limits: Limits | None, budget: Budget, valid: Valid | None
+    tally: Tally | None, search: Search, budget: Budget, valid: Valid | None
 ) -> ReflectionChoice | None:
     """What limits leave out, of an earlier frame's echoes that are reused, too."""
-    if tally is None or limits is None or budget.tally is None:
+    if tally is None or search.limits is None or budget.tally is None:
         return None
-    own = tally.choice(limits, budget.tally, budget.undivided)
+    own = tally.choice(search.limits, budget.tally, budget.undivided, sum(search.reflected_s))
     if valid is None or valid.left_out is None:
         return own
     return replace(own, left_out=own.left_out + valid.left_out)

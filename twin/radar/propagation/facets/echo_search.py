@@ -3,8 +3,9 @@ after some reflections, divided until their errors are as small as a budget asks
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,8 @@ class Search:
     limits: Limits | None = None
     bodies: NDArray[np.bool_] | None = None  # those whose echoes count, (n_bodies,); None: all
     by_bounds: bool = False
+    #: Times spent on reflections, also by what is made of this one.
+    reflected_s: list[float] = field(default_factory=list)
 
     def may_be_seen(self, lit: Triangles) -> NDArray[np.bool_]:
         """Which footprints their receivers may see: any corner or the point inside; of large ones
@@ -138,21 +141,26 @@ class Search:
                 subdivided_adaptively(self.context, self.scatterers, *whole, budget, deepest[0])
             )
         budget.end_direct()
+        began_s = perf_counter()
         if tubes is not None:
             lit = self._lit_by_tubes(tubes, budget, deepest[1])
             if lit is not None:
                 generations.append(
                     subdivided_adaptively(self.context, self.scatterers, *lit, budget, deepest[0])
                 )
+        self.reflected_s.append(perf_counter() - began_s)
         return [Leaves.concatenate(parts) for parts in generations if parts]
 
     def root_tubes(self, facets: FrontFacets, spacing_m: float) -> RootTubes | None:
         """Ray tubes of the facets that may reflect to others, divided to the spacing of the rays
         that look for these.
         """
+        began_s = perf_counter()
         rows = reflection_candidates(self.context, self.scatterers, facets, spacing_m)
         wholes = (facets.take(some) for some in portions(rows))
-        return self._root_tubes(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
+        found = self._root_tubes(subdivided(self.context, whole, spacing_m)[0] for whole in wholes)
+        self.reflected_s.append(perf_counter() - began_s)
+        return found
 
     def _root_tubes(self, parts: Iterable[Triangles]) -> RootTubes | None:
         """Of all candidates the roots whose tubes meet other facets, with the echoes of these."""

@@ -86,13 +86,15 @@ class Bounds:
 class ReflectionChoice:
     """Reflections that are computed, and the bounds of what is ``left_out`` beyond these, and of
     what would be ``without`` the last of them as well; ``undivided`` (n_bodies,): bound of the
-    errors of many reflections that are computed by coarse tubes alone, since there are too many.
+    errors of many reflections that are computed by coarse tubes alone, since there are too many;
+    ``cost_s``: the time that reflections at bodies took.
     """
 
     limits: Limits
     left_out: Bounds
     without: Bounds
     undivided: Array
+    cost_s: float
 
 
 class Tally:
@@ -175,10 +177,13 @@ class Tally:
             fine._echo[rows], fine._square[rows] = self._echo[rows], self._square[rows]
         return fine
 
-    def choice(self, limits: Limits, fine: "Tally", undivided: Array) -> ReflectionChoice:
+    def choice(
+        self, limits: Limits, fine: "Tally", undivided: Array, cost_s: float
+    ) -> ReflectionChoice:
         """What limits leave out. Of more reflections than were followed that is the bound of the
         last ones, as a ``fine`` pass found it; nothing where no path has more of them.
-        ``undivided``: accepted errors of what coarse tubes alone follow, (n_bodies,).
+        ``undivided``: accepted errors of what coarse tubes alone follow, (n_bodies,); ``cost_s``:
+        time that reflections at bodies took.
         """
         fewer = Limits(limits.bounces - 1, limits.images - 1)
         beyond = fine.left_out(Limits(*(n - 1 for n in (limits.bounces, limits.images))))
@@ -196,6 +201,7 @@ class Tally:
             ),
             self.left_out(fewer),
             _SURE * undivided,
+            cost_s,
         )
 
     def beyond_all_images(self, last: Array) -> Array:

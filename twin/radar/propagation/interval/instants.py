@@ -69,7 +69,9 @@ def traced_interval(
     spans = 2
     if worst.error <= permitted:
         found = trace(scene, radar, fidelity=fidelity, seed=seed, earlier=earlier, keep=keep)
+        looked_s = perf_counter()
         left_out = checked(scene, radar, fidelity, found, worst, permitted)
+        cost_s = perf_counter() - looked_s
         worst, spans = left_out.worst, left_out.spans
         found = replace(
             found,
@@ -77,7 +79,7 @@ def traced_interval(
             warnings=found.warnings + left_out.remarks,
         )
         if worst.error <= permitted or fidelity.radar_motion_tolerance is None:
-            decision = _decision(worst, permitted, False)
+            decision = _decision(worst, permitted, False, cost_s)
             return replace(found, decisions=(*found.decisions, decision))
     spans = _spans(scene, radar, half_s, permitted, spans)
     step_s = 2 * half_s / spans
@@ -123,7 +125,7 @@ def _spans(scene: Scene, radar: RadarDesign, half_s: float, permitted: float, le
     return spans
 
 
-def _decision(worst: Change, permitted: float, taken: bool, cost_s: float = np.nan) -> Decision:
+def _decision(worst: Change, permitted: float, taken: bool, cost_s: float) -> Decision:
     how = "turns" if worst.turned_rad * OVER_ANGLE > worst.bend_rad else "moves"
     effect = f"what changes within an interval beyond delays of second order: {worst.name} {how}"
     is_told = not taken and worst.changed == worst.error > permitted  # by the remarks of `checked`
