@@ -40,6 +40,7 @@ _ROOMS = (
     "at_rest",
     "gpu",
     "lidar",
+    "moved_rig",
     "moving_radar",
     "driving",
     "commands",
