@@ -162,6 +162,33 @@ def test_images_beyond_the_last_are_bounded_where_there_are_any() -> None:
     assert bound > 0.01
 
 
+def round_a_corner() -> Scene:
+    """A ball in the second leg of a corridor, which the radar in the first one sees by walls."""
+    legs = {
+        "right": [[0, -1.2], [6, -1.2]],
+        "end": [[6, -1.2], [6, 3.5]],
+        "left": [[4, 1.2], [0, 1.2]],
+        "beyond": [[4, 3.5], [4, 1.2]],
+    }
+    walls = [
+        quad(name, [[*a, -1.5], [*b, -1.5], [*b, 1.5], [*a, 1.5]]) for name, (a, b) in legs.items()
+    ]
+    return world(ball("ball", (4.6, 2.9, 0), radius=0.04, level=4), *walls)
+
+
+def test_of_what_only_the_last_images_show_no_bound_is_known() -> None:
+    """Round the corner of a corridor one and no reflections show nothing, two little; of those
+    beyond, which show most of it, two do not tell.
+    """
+    scene = round_a_corner()
+    found = trace(scene, RADAR, fidelity=BY_BOUNDS)
+    assert decided(found, "reflections at large surfaces", "ball") == (2, np.inf)
+    (body,) = found.bodies
+    assert body.estimated_error == np.inf
+    four = trace(scene, RADAR, fidelity=Fidelity(radar_bounces=1, radar_images=4))
+    assert four.bodies[0].level_amplitude > 3 * body.level_amplitude
+
+
 def test_what_is_not_followed_is_warned_of() -> None:
     """A fourth reflection at the walls of a corridor may add more than is permitted."""
     taken = radar_capture(between_walls(), RADAR, fidelity=BY_BOUNDS)

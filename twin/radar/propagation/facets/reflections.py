@@ -7,7 +7,8 @@ it stands, the rms of what it left out as faint, and three times the errors that
 them, as in the estimate of a body's error. Reflections beyond those that it follows are told with
 the bound of the last ones: a reflection adds no power. In rooms, where one reflection more has
 images at more places, further orders are extrapolated: each is to the one before as the last is to
-its own, and their powers add.
+its own, and their powers add. Of a body that only the last order followed brings into sight, no
+bound is known.
 """
 
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ MOST_BOUNCES = 6
 #: images of the radar and few facets let it.
 LEAST_IMAGES, MOST_IMAGES = 2, 16
 _ENDLESS = 0.95  # at most: what an order of images in a room adds over the one before
+#: Over the echo by the last order of images: a body with less by all fewer reflections is hidden.
+_HIDDEN = 0.2
 _SURE = 3.0  # over the root of the sum of squares of errors, as of a body's estimated error
 _FAINT = 0.5  # of what is permitted: bound of what the coarse pass leaves out as faint
 
@@ -206,13 +209,15 @@ class Tally:
 
     def beyond_all_images(self, last: Array) -> Array:
         """Bound of what more reflections at large surfaces than those of any image add, by that of
-        the ``last`` ones, (n_bodies,).
+        the ``last`` ones, (n_bodies,). Of bodies round a corner, which come into sight by the last
+        ones, none is known.
         """
         _, bounces, orders = self._shape
         before = self._beyond(range(bounces), range(max(orders - 2, 0), orders - 1))
         ratio = np.minimum(last / np.maximum(before, 1e-300), _ENDLESS)
         of_room = last / np.sqrt(1 - ratio**2)
         further: Array = np.where(self._further_images > 1, of_room, last)
+        further[self._beyond(range(bounces), range(orders - 1)) < _HIDDEN * last] = np.inf
         return np.where(self._further_images > 0, further, 0.0)
 
     def left_out(self, limits: Limits) -> Bounds:
