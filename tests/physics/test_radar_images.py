@@ -127,7 +127,8 @@ def test_the_radar_sees_itself_in_a_corner(mirrors: tuple[SceneObject, ...]) -> 
         up = field(way / length, ()) @ field(way / length, tuple(names))
         gain = RADAR.antenna.gain((way / length)[None])[0] * GAIN / 100
         expected = gain * WAVELENGTH_M / (4 * np.pi * length) * up
-        assert sum(p.amplitude for p in twice) == pytest.approx(expected, rel=1e-6)
+        # Of a knife edge on the line the phase is 1e-12, and the factor 1e-6 off one half.
+        assert sum(p.amplitude for p in twice) == pytest.approx(expected, rel=2e-6)
         for path in twice:
             assert path.delay_s == pytest.approx(length / speed_of_light, rel=1e-12)
 

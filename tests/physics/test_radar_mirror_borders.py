@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 from benchmarks.behind_fences import (
     AWAY_M,
@@ -64,6 +65,53 @@ def test_behind_a_fence_the_walls_echo_is_told_to_be_uncertain(posts: int) -> No
     error = abs(behind / echo(wall(4.0)) - past_posts(4.0, 0.02, places_m, WAVELENGTH_M))
     assert len(told) == (posts > 4)
     assert error < (float(told[0].split("off by ")[1].split()[0]) if told else 0.02)
+
+
+def corner(angle_deg: float, gap_m: float = 0.0) -> list:
+    """Two sheets of 3 m that open towards the radar, and end so far from their common line."""
+    half = np.deg2rad(angle_deg) / 2
+    sheets = []
+    for side in (1, -1):
+        along = np.array([-np.cos(half), side * np.sin(half), 0.0])
+        inner, outer = (np.array([AWAY_M, 0, 0]) + way * along for way in (gap_m, 3.0))
+        up = np.array([0, 0, 2.0])
+        sheets.append(quad(f"sheet{side}", [inner - up, outer - up, outer + up, inner + up]))
+    return sheets
+
+
+def seen_in_both(*objects) -> complex:
+    """The radar's echo by both sheets, over that of a closed right corner."""
+    echoes = []
+    for some in (objects, corner(90.0)):
+        paths = trace(world(*some), RADAR).paths
+        echoes.append(sum(p.amplitude for p in paths if len(p.via) == 2))
+    return complex(echoes[0] / echoes[1])
+
+
+@pytest.mark.parametrize("angle_deg", [89.5, 89.9, 90.1, 90.4])
+def test_a_corner_that_is_not_right_is_a_knife_edges(angle_deg: float) -> None:
+    """Both orders of its sheets pass their common line, on the lit side where the corner is acute:
+    by Fresnel's integrals, to 0.04 of the echo. It had been twice the right corner's, or nothing.
+    """
+    beside_m = AWAY_M * np.cos(np.deg2rad(angle_deg))
+    sine, cosine = fresnel(2 * beside_m / np.sqrt(WAVELENGTH_M * AWAY_M))
+    passed = abs((0.5 + cosine) - 1j * (0.5 + sine)) * np.sqrt(2)
+    assert abs(seen_in_both(*corner(angle_deg))) == pytest.approx(passed, abs=0.04)
+
+
+@pytest.mark.parametrize(("gap_m", "passed"), [(1e-3, 0.99), (1e-2, 0.93)])
+def test_a_corner_with_a_slit_echoes(gap_m: float, passed: float) -> None:
+    """Both orders pass the sheets' edges in their shadow, by the slit's cosine of 45 degrees. There
+    was no echo at all.
+    """
+    sine, cosine = fresnel(-2 * gap_m / np.sqrt(2) / np.sqrt(WAVELENGTH_M * AWAY_M))
+    expected = abs((0.5 + cosine) - 1j * (0.5 + sine)) * np.sqrt(2)
+    assert expected == pytest.approx(passed, abs=0.01)
+    assert abs(seen_in_both(*corner(90.0, gap_m))) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_corner_behind_a_sheet_is_not_seen() -> None:
+    assert seen_in_both(*corner(90.1), plate("sheet", (3.0, 0, 0), 0.5)) == 0
 
 
 def test_a_label_takes_its_place_on_the_wall() -> None:

@@ -92,11 +92,11 @@ class PreparedScene:
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
 
-    def seen_by_itself(self, more_m: float = 0.0) -> "PreparedScene":
+    def seen_by_itself(self, more_m: float = 0.0, by_several_m: float = 0.0) -> "PreparedScene":
         """The same with the images in which the radar may see itself, also over the border of one
-        mirror by ways that are longer by up to ``more_m``.
+        mirror, or one of several, by ways that are longer by up to so much.
         """
-        return self.with_images(closed(self.all_images, self.flats, more_m))
+        return self.with_images(closed(self.all_images, self.flats, more_m, by_several_m))
 
     def with_images(self, images: Sequence[Image]) -> "PreparedScene":
         """The same with other images."""

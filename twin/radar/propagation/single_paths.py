@@ -13,6 +13,7 @@ from scipy.constants import speed_of_light
 
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, unsure_m
 from twin.radar.propagation.diffraction.blocking import first_between
+from twin.radar.propagation.diffraction.corners import FAINTEST, past_borders
 from twin.radar.propagation.diffraction.mirrors import (
     BEFORE_MIRROR,
     border_waves,
@@ -57,6 +58,7 @@ def mirror_echoes(
     off: dict[str, float] = {}
     for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
         if len(image.patches) > 1:
+            factor[row] = _by_several(prepared, image, row + 1, share[row])
             continue
         border = border_waves(prepared, image, faintest)
         factor[row] = _lit(border, factor[row])
@@ -74,6 +76,18 @@ def mirror_echoes(
     whole = echoes.take(some)
     whole = replace(whole, amplitude=whole.amplitude * factor[some])
     return Contributions.concatenate([whole, *parts]), off
+
+
+def _by_several(prepared: PreparedScene, image: Image, source: int, share: float) -> complex:
+    """Of an echo by several mirrors, what their borders let pass, if nothing else is in its way."""
+    passed = past_borders(prepared, image)
+    if passed is None:
+        return share
+    if abs(passed.factor) < FAINTEST:
+        return 0.0
+    beside = passed.beside[None]
+    is_clear = paths_to_points(prepared.context, source, beside, np.zeros((1, 3))).clear[0]
+    return passed.factor * bool(is_clear)
 
 
 def _lit(border: DiffractedPaths, share: complex) -> complex:

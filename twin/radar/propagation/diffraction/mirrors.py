@@ -11,6 +11,7 @@ obstacles changes over the band, and how obstacles and the border act together: 
 multiplied.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -99,7 +100,7 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
     """
     (number,) = image.patches
     here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
-    rim = _border(prepared, number, image.place)
+    rim = border(prepared, number, image.place)
     paths = rim_paths(rim, image.place, here[None], wavenumber, faintest)
     inside, outside = (paths.stops[:, 0] + s * paths.aside[:, 0] for s in (1, -1))
     begin = np.broadcast_to(here, inside.shape)
@@ -108,8 +109,12 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
     return paths.take(is_free & (np.abs(paths.amplitude) >= faintest))
 
 
-def _border(prepared: PreparedScene, number: int, source: Array) -> Outline:
-    """Edges of one triangle alone of a patch, as seen from a source, with the patch as opening."""
+def border(
+    prepared: PreparedScene, number: int, source: Array, behind: Sequence[int] = ()
+) -> Outline:
+    """Edges of one triangle alone of a patch, as seen from a source, with the patch as opening;
+    where other patches show it that stand before it, the last one the nearest.
+    """
     flat = prepared.flats[number]
     item = prepared.originals[flat.object]
     points, place = np.unique(item.vertices_m - prepared.anchor_m, axis=0, return_inverse=True)
@@ -122,6 +127,8 @@ def _border(prepared: PreparedScene, number: int, source: Array) -> Outline:
         np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
     )
     corners, first = pairs[count == 1], first[count == 1]
+    for mirror in behind:
+        points = mirrored(points, prepared.flats[mirror])
     within = points[faces[:, [2, 0, 1]].reshape(-1)[first]] - source
     ends = points[corners] - source
     lit = np.cross(ends[:, 0], ends[:, 1])

@@ -136,13 +136,16 @@ def images(
     return Found(images_so_far, left_out, False)
 
 
-def closed(images: Sequence[Image], flats: Flats, more_m: float = 0.0) -> list[Image]:
+def closed(
+    images: Sequence[Image], flats: Flats, more_m: float = 0.0, by_several_m: float = 0.0
+) -> list[Image]:
     """The radar, and its images of up to twice the order in which it may see itself.
 
     The path of such an echo is the path of one image up to its middle, and of another one from the
     radar's side; so only sequences of one image's patches and another's reversed are tried. In the
     mirrored world the path is a straight line: it must pass through every patch's window, or close
-    beside it. ``more_m``: by how much waves over the border of one mirror alone may be longer.
+    beside it. ``more_m``: by how much waves over the border of one mirror alone may be longer;
+    ``by_several_m``: over a border of several.
     """
     closure = list(images[:1])
     for longer, shorter in _halves(images):
@@ -151,7 +154,7 @@ def closed(images: Sequence[Image], flats: Flats, more_m: float = 0.0) -> list[I
         last = last.reshape(len(shorter), -1)
         for patches in first:
             sequences = np.hstack([np.tile(patches, (len(last), 1)), last])
-            longer_m = more_m if sequences.shape[1] == 1 else 0.0
+            longer_m = more_m if sequences.shape[1] == 1 else by_several_m
             places, passes = _places(sequences, images[0].place, flats, longer_m)
             closure += [
                 Image(tuple(sequences[k].tolist()), places[k]) for k in np.flatnonzero(passes)
@@ -187,15 +190,17 @@ def _places(
     passes = ~twice
     at, whole = places[0], np.linalg.norm(places[-1] - places[0], axis=1)
     passes &= whole > 0
+    zone = np.sqrt(more_m * (2 * whole + more_m)) / 2
+    # Past a corner planes are met the other way round.
+    slack = np.maximum(_ASIDE, 4 * zone / np.maximum(whole, 1e-300))
     for level in range(sequences.shape[1], 0, -1):
         number, towards = sequences[:, level - 1], places[level] - at
         normal, point = flats.normal[number], flats.point[number]
         slope = np.sum(towards * normal, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.sum((point - at) * normal, axis=1) / slope
-        passes &= (t > -_ASIDE) & (t < 1 + _ASIDE)
+        passes &= (t > -slack) & (t < 1 + slack)
         at = at + np.where(passes, t, 0.0)[:, None] * towards
-        zone = np.sqrt(more_m * (2 * whole + more_m)) / 2
         margin = np.maximum(_ASIDE * whole, zone)[:, None]
         box = flats.box[number]
         passes &= ((at >= box[:, 0] - margin) & (at <= box[:, 1] + margin)).all(axis=1)
