@@ -12,7 +12,7 @@ from benchmarks.behind_fences import (
     post,
     wall,
 )
-from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, plate, quad, world
+from tests.physics.radar_worlds import GAIN, RADAR, WAVELENGTH_M, plate, quad, world
 from twin.radar.propagation.diffraction import mirrors
 from twin.radar.propagation.solvers import trace
 
@@ -108,6 +108,18 @@ def test_a_corner_with_a_slit_echoes(gap_m: float, passed: float) -> None:
     expected = abs((0.5 + cosine) - 1j * (0.5 + sine)) * np.sqrt(2)
     assert expected == pytest.approx(passed, abs=0.01)
     assert abs(seen_in_both(*corner(90.0, gap_m))) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_right_corner_of_three_walls_echoes_once() -> None:
+    """Its image stands behind the corner's point, on the borders of all orders of its walls."""
+    ahead = quad("ahead", [[8, -3, -1], [8, 2, -1], [8, 2, 4], [8, -3, 4]])
+    side = quad("side", [[2, 2, -1], [8, 2, -1], [8, 2, 4], [2, 2, 4]])
+    floor = quad("floor", [[2, -3, -1], [8, -3, -1], [8, 2, -1], [2, 2, -1]])
+    paths = [p for p in trace(world(ahead, side, floor), RADAR).paths if len(p.via) == 3]
+    towards = np.array([8.0, 2.0, -1.0])
+    gain = RADAR.antenna.gain((towards / np.linalg.norm(towards))[None])[0] * GAIN / 100
+    free = gain * WAVELENGTH_M / (8 * np.pi * np.linalg.norm(towards))
+    assert abs(sum(p.amplitude for p in paths)) == pytest.approx(free, rel=1e-6)
 
 
 def test_a_corner_behind_a_sheet_is_not_seen() -> None:

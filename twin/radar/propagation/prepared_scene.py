@@ -92,11 +92,11 @@ class PreparedScene:
     surface_of_object: NDArray[np.uint32]
     assumptions: tuple[str, ...]
 
-    def seen_by_itself(self, more_m: float = 0.0, by_several_m: float = 0.0) -> "PreparedScene":
+    def seen_by_itself(self, more_m: float = 0.0, by_two_m: float = 0.0) -> "PreparedScene":
         """The same with the images in which the radar may see itself, also over the border of one
-        mirror, or one of several, by ways that are longer by up to so much.
+        mirror, or one of two, by ways that are longer by up to so much.
         """
-        return self.with_images(closed(self.all_images, self.flats, more_m, by_several_m))
+        return self.with_images(closed(self.all_images, self.flats, more_m, by_two_m))
 
     def with_images(self, images: Sequence[Image]) -> "PreparedScene":
         """The same with other images."""

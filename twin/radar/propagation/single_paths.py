@@ -57,8 +57,10 @@ def mirror_echoes(
     parts, factor = [], share.astype(np.complex128)
     off: dict[str, float] = {}
     for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
-        if len(image.patches) > 1:
-            factor[row] = _by_several(prepared, image, row + 1, share[row])
+        if len(image.patches) > 2:
+            continue
+        if len(image.patches) == 2:
+            factor[row] = _by_two(prepared, image, row + 1, share[row])
             continue
         border = border_waves(prepared, image, faintest)
         factor[row] = _lit(border, factor[row])
@@ -78,8 +80,8 @@ def mirror_echoes(
     return Contributions.concatenate([whole, *parts]), off
 
 
-def _by_several(prepared: PreparedScene, image: Image, source: int, share: float) -> complex:
-    """Of an echo by several mirrors, what their borders let pass, if nothing else is in its way."""
+def _by_two(prepared: PreparedScene, image: Image, source: int, share: float) -> complex:
+    """Of an echo by two mirrors, what their borders let pass, if nothing else is in its way."""
     passed = past_borders(prepared, image)
     if passed is None:
         return share

@@ -1,8 +1,7 @@
-"""What the borders of several mirrors let pass of the radar's own echo by all of them, as in a
-corner.
+"""What the borders of two mirrors let pass of the radar's own echo by both, as in a corner.
 
-Seen from the radar its last image is straight ahead, and each mirror an opening on the way, where
-the mirrors before it show it. The rim of an opening adds edge waves, by Kirchhoff's integral.
+Seen from the radar its image is straight ahead, and each mirror an opening on the way, the first
+one where the other shows it. The rim of an opening adds edge waves, by Kirchhoff's integral.
 Openings that end at one place, as two walls do that meet or nearly meet, are one: that which lets
 less pass counts, and the factors of others are multiplied.
 
@@ -40,7 +39,7 @@ class Passed(NamedTuple):
 
 
 def past_borders(prepared: PreparedScene, image: Image) -> Passed | None:
-    """Of the echo of an image by several mirrors; None where no border is near."""
+    """Of the echo of an image by two mirrors; None where no border is near."""
     here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
     openings = []
     for number, foot, behind in _openings(prepared, image):

@@ -137,7 +137,7 @@ def images(
 
 
 def closed(
-    images: Sequence[Image], flats: Flats, more_m: float = 0.0, by_several_m: float = 0.0
+    images: Sequence[Image], flats: Flats, more_m: float = 0.0, by_two_m: float = 0.0
 ) -> list[Image]:
     """The radar, and its images of up to twice the order in which it may see itself.
 
@@ -145,7 +145,7 @@ def closed(
     radar's side; so only sequences of one image's patches and another's reversed are tried. In the
     mirrored world the path is a straight line: it must pass through every patch's window, or close
     beside it. ``more_m``: by how much waves over the border of one mirror alone may be longer;
-    ``by_several_m``: over a border of several.
+    ``by_two_m``: over a border of two.
     """
     closure = list(images[:1])
     for longer, shorter in _halves(images):
@@ -154,7 +154,7 @@ def closed(
         last = last.reshape(len(shorter), -1)
         for patches in first:
             sequences = np.hstack([np.tile(patches, (len(last), 1)), last])
-            longer_m = more_m if sequences.shape[1] == 1 else by_several_m
+            longer_m = {1: more_m, 2: by_two_m}.get(sequences.shape[1], 0.0)
             places, passes = _places(sequences, images[0].place, flats, longer_m)
             closure += [
                 Image(tuple(sequences[k].tolist()), places[k]) for k in np.flatnonzero(passes)
