@@ -39,7 +39,7 @@ from hardware.radar.own_detection import detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.settings import Processing
-from hardware.radar.several_directions import CellTarget, targets_of_cell
+from hardware.radar.several_directions import CellTarget, check_per_cell, targets_of_cell
 from hardware.radar.slot_phases import (
     phase_variance,
     with_phases_of_turns,
@@ -191,6 +191,8 @@ def _detections(
     burst: int,
 ) -> tuple[list[Detection], list[str]]:
     """Detections by CFAR and refinement, and warnings."""
+    if how.per_cell > 1:
+        check_per_cell(how.per_cell, interval)
     cfar = with_fitted_shape(even, how.cfar, image.n_channels)
     if how.cfar.shape == "fitted" and how.window != "boxcar":
         plain = clutter_between_echoes(channel, interval.waveform, image, how.window)

@@ -82,18 +82,21 @@ def targets_of_cell(
 ) -> CellTargets:
     """The targets of a cell at the one of its delay rates, likeliest first, at which they explain
     most of the amplitudes: at another one a single direction may explain more.
-
-    Raises InputError where the antennas are no evenly spaced line to the left, or for more targets
-    than it resolves.
     """
-    most = most_targets(burst)
-    if at_most > most:
-        raise InputError(f"per_cell: {at_most}, expected at most {most} with the record's antennas")
     cells = [
         _targets_at(amplitude, burst, rate, noise, at_most)
         for rate in _of_unlike_phases(delay_rates, burst)
     ]
     return min(cells, key=lambda cell: (not cell.targets, cell.rest_w))
+
+
+def check_per_cell(at_most: int, burst: DemodulatedBurst) -> None:
+    """Raise InputError where the antennas are no evenly spaced line to the left, or for more targets
+    of a cell than it resolves.
+    """
+    most = most_targets(burst)
+    if at_most > most:
+        raise InputError(f"per_cell: {at_most}, expected at most {most} with the record's antennas")
 
 
 def _of_unlike_phases(delay_rates: Sequence[float], burst: DemodulatedBurst) -> list[float]:

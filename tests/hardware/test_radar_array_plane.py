@@ -181,8 +181,10 @@ def test_a_record_of_a_tilted_array() -> None:
         assert max(errors) < 0.03
 
 
-def test_several_targets_need_a_line_to_the_left() -> None:
-    echoes = [Echo((4.0, 1.0, 0.0)), Echo((4.1232, -0.3, 0.0))]
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_several_targets_need_a_line_to_the_left(count: int) -> None:
+    """Whatever the record holds: where all echoes fit one direction it had passed."""
+    echoes = [Echo((4.0, 1.0, 0.0)), Echo((4.1232, -0.3, 0.0))][:count]
     record = cube(WIDE, echoes, receivers_m=turned(LINE, yaw=15.0), noise_w=1e-12)
     with pytest.raises(InputError, match="no evenly spaced line to the left"):
         process(record, how=Processing(per_cell=2))
