@@ -94,7 +94,10 @@ def check_per_cell(at_most: int, burst: DemodulatedBurst) -> None:
     """Raise InputError where the antennas are no evenly spaced line to the left, or for more targets
     of a cell than it resolves.
     """
-    most = most_targets(burst)
+    try:
+        most = most_targets(burst)
+    except InputError as error:
+        raise InputError(f"per_cell: {at_most}: {error}") from None
     if at_most > most:
         raise InputError(f"per_cell: {at_most}, expected at most {most} with the record's antennas")
 

@@ -186,5 +186,7 @@ def test_several_targets_need_a_line_to_the_left(count: int) -> None:
     """Whatever the record holds: where all echoes fit one direction it had passed."""
     echoes = [Echo((4.0, 1.0, 0.0)), Echo((4.1232, -0.3, 0.0))][:count]
     record = cube(WIDE, echoes, receivers_m=turned(LINE, yaw=15.0), noise_w=1e-12)
-    with pytest.raises(InputError, match="no evenly spaced line to the left"):
+    with pytest.raises(
+        InputError, match="per_cell: 2: burst: its channels are no evenly spaced line to"
+    ):
         process(record, how=Processing(per_cell=2))

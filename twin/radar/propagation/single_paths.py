@@ -56,11 +56,10 @@ def mirror_echoes(
     echoes, share = _whole_mirrors(prepared.context)
     parts, factor = [], share.astype(np.complex128)
     off: dict[str, float] = {}
+    if faintest > 0:
+        _pass_corners(prepared, factor)
     for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
-        if len(image.patches) > 2:
-            continue
-        if len(image.patches) == 2:
-            factor[row] = _by_two(prepared, image, row + 1, share[row])
+        if len(image.patches) > 1:
             continue
         border = border_waves(prepared, image, faintest)
         factor[row] = _lit(border, factor[row])
@@ -80,16 +79,20 @@ def mirror_echoes(
     return Contributions.concatenate([whole, *parts]), off
 
 
-def _by_two(prepared: PreparedScene, image: Image, source: int, share: float) -> complex:
-    """Of an echo by two mirrors, what their borders let pass, if nothing else is in its way."""
-    passed = past_borders(prepared, image)
-    if passed is None:
-        return share
-    if abs(passed.factor) < FAINTEST:
-        return 0.0
-    beside = passed.beside[None]
-    is_clear = paths_to_points(prepared.context, source, beside, np.zeros((1, 3))).clear[0]
-    return passed.factor * bool(is_clear)
+def _pass_corners(prepared: PreparedScene, factor: NDArray[np.complex128]) -> None:
+    """Of echoes by two mirrors, what their borders let pass, if nothing else is in their way."""
+    passed = {
+        row: found
+        for row, image in enumerate(prepared.images[1:])
+        if len(image.patches) == 2 and (found := past_borders(prepared, image))
+    }
+    rows = np.fromiter(passed, dtype=np.intp)
+    if not len(rows):
+        return
+    beside = np.array([found.beside for found in passed.values()])
+    clear = paths_to_points(prepared.context, rows + 1, beside, np.zeros_like(beside)).clear
+    let = np.array([found.factor for found in passed.values()])
+    factor[rows] = np.where(np.abs(let) >= FAINTEST, let, 0) * clear
 
 
 def _lit(border: DiffractedPaths, share: complex) -> complex:
