@@ -91,8 +91,8 @@ def targets_of_cell(
 
 
 def check_per_cell(at_most: int, burst: DemodulatedBurst) -> None:
-    """Raise InputError where the antennas are no evenly spaced line to the left, or for more targets
-    of a cell than it resolves.
+    """Raise InputError where the antennas are no evenly spaced line to the left, or resolve fewer
+    targets of a cell.
     """
     try:
         most = most_targets(burst)
