@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from tests.designs import changed
 from twin.camera.chain import Chain
 from twin.camera.exposure_noise import exposure_noise_w
-from twin.camera.light import render
+from twin.camera.light import render, render_light
+from twin.camera.mounting import light_problem
 from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
+from twin.camera.truth import Truth, depths
 from twin.fidelity import Fidelity
 from twin.geometry import Geometry
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
@@ -19,6 +21,7 @@ from twin.system import System
 Array = NDArray[np.float64]
 
 FINE = Fidelity(light_tolerance=0.05, motion_tolerance=0.05)
+EXACT = Fidelity(128**2, 8, indirect_samples=32**2)
 SIDE = 16
 SUN = Sun(200.0, 30.0, 1e3)
 
@@ -74,3 +77,20 @@ def passed(system: System, chain: Chain) -> Array:
     up, left = (half * (2 * np.arange(0.5, 32 * n) / (32 * n) - 1) for n in (rows, columns))
     shares = chain.sky.emitter_at(np.degrees(np.arctan(np.hypot(up[:, None], left))))
     return np.asarray(shares.reshape(rows, 32, columns, 32).mean(axis=(1, 3)).ravel())
+
+
+def anew(
+    scene: Scene,
+    system: System,
+    times: Array,
+    fidelity: Fidelity = EXACT,
+) -> list[Array]:
+    """Powers of the cells and of the sun at these times: all rendered anew, from a stock scene."""
+    chain, found = Chain.of(system, scene.sun), []
+    for seconds in times:
+        problem = light_problem(scene.after(float(seconds)), system)
+        depth = depths(problem.scene, problem.emitter, system.image_shape)
+        truth = Truth(np.zeros_like(depth), depth)
+        seeds = np.random.SeedSequence([7, int(1e6 * seconds)]).spawn(2)
+        found.append(chain.powers(render_light(problem, chain, truth, fidelity, seeds)))
+    return found
