@@ -1,7 +1,11 @@
 """How far a rig may move before the light and the echoes of one place no longer hold at the next:
-`scenes/yard` with its car stopped, moved ahead and aside.
+`scenes/yard` with its car stopped, moved ahead and aside. And what it costs to place the camera's
+meshes anew.
 """
 
+import cProfile
+import pstats
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,10 +14,12 @@ import numpy as np
 from benchmarks.moving_radar import at_rest
 from benchmarks.timing import Figure
 from tests.physics.retraced import errors_by_body
+from twin.camera import capture
 from twin.camera.chain import Chain
 from twin.camera.light import render
 from twin.camera.permitted_error import PermittedError
-from twin.fidelity import DEFAULT, PRESETS
+from twin.camera.rendered import RenderedLight
+from twin.fidelity import DEFAULT, PRESETS, Fidelity
 from twin.motion import Product, Still, Straight
 from twin.radar import load_radar
 from twin.radar.propagation.solvers import trace
@@ -39,13 +45,16 @@ def figures() -> Iterator[Figure]:
         for way_mm, errors in zip(_WAYS_MM, _echoes(scene, direction), strict=True):
             for body, error in errors.items():
                 yield f"echo of {body}, {way_mm:g} mm {name}: change", 100 * error, "%"
+    for name, fidelity in (("default", DEFAULT), ("draft", PRESETS["draft"])):
+        share = _share_of_meshes(_at_1_m_per_s(scene, _AHEAD), fidelity)
+        yield f"placing meshes, of a moving frame's CPU time, {name}", 100 * share, "%"
 
 
 def _light(scene: Scene, direction: tuple[float, float, float]) -> Iterator[float]:
     system, pose = load_system("workable"), scene.rig.pose
     chain = Chain.of(system, scene.sun)
 
-    def rendered_at(way_m: float):
+    def rendered_at(way_m: float) -> RenderedLight:
         place = np.asarray(pose.position_m) + way_m * np.asarray(direction)
         there = scene.at(replace(pose, position_m=tuple(place.tolist())))
         seed = np.random.SeedSequence(1)
@@ -61,9 +70,23 @@ def _light(scene: Scene, direction: tuple[float, float, float]) -> Iterator[floa
 
 def _echoes(scene: Scene, direction: tuple[float, float, float]) -> Iterator[dict[str, float]]:
     """At 1 m/s, so that millimetres are milliseconds."""
-    radar, rig = load_radar("hybrid-79"), scene.rig
-    course = Product((Straight(direction), Still(rig.pose.transform)))
-    moving = replace(scene, rig=rig.following(course))
+    radar, moving = load_radar("hybrid-79"), _at_1_m_per_s(scene, direction)
     found = trace(moving, radar, fidelity=_SURFACES)
     for way_mm in _WAYS_MM:
         yield errors_by_body(moving, radar, found, _SURFACES, np.array([1e-3 * way_mm]))
+
+
+def _at_1_m_per_s(scene: Scene, direction: tuple[float, float, float]) -> Scene:
+    course = Product((Straight(direction), Still(scene.rig.pose.transform)))
+    return replace(scene, rig=scene.rig.following(course))
+
+
+def _share_of_meshes(scene: Scene, fidelity: Fidelity) -> float:
+    """Of the processor time of a frame, after one that compiles."""
+    system = load_system("workable")
+    capture(scene, system, seed=1, fidelity=fidelity)
+    profile = cProfile.Profile(time.process_time)
+    profile.runcall(capture, scene, system, seed=1, fidelity=fidelity)
+    calls = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    (placing_s,) = (times[3] for (_, _, name), times in calls.items() if name == "mitsuba_scene")
+    return float(placing_s / sum(times[2] for times in calls.values()))
