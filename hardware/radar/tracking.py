@@ -24,15 +24,11 @@ from hardware.radar.filtering import (
     predict_estimate,
     update_estimate,
 )
+from hardware.radar.track_readings import Readings, heading, readings
 from hardware.records.state import QuaternionPose
 
 Array = NDArray[np.float64]
 
-#: Measurements of one detection, likeliest first; several where its range rate or direction is
-#: ambiguous.
-Readings = tuple[TargetMeasurement, ...]
-
-_STEEP = 0.1  # least cosine of an elevation by which rates are divided
 _NEVER = 1e9  # cost of an impossible pair, far above any other
 
 
@@ -109,9 +105,14 @@ class Tracker:
         """
         from scipy.optimize import linear_sum_assignment
 
-        antenna = _antenna(pose, velocity_m_per_s)
-        every = [_measurements(detection) for detection in detections]
-        ranged = [readings for readings in every if readings[0].known[0]]
+        pose = pose or QuaternionPose.from_numbers([0, 0, 0, 1, 0, 0, 0])
+        antenna = AntennaState(
+            np.asarray(pose.position_m)[:2],
+            heading(pose.rotation),
+            np.asarray(velocity_m_per_s, np.float64),
+        )
+        every = [readings(detection, pose.rotation) for detection in detections]
+        ranged = [one for one in every if one[0].known[0]]
         predictions = [self._predicted(track, elapsed_s) for track in self.tracks]
         updates = self._updates(predictions, ranged, antenna)
         cost = np.full((len(predictions), len(ranged)), _NEVER)
@@ -192,49 +193,9 @@ def _near(
     return np.asarray(np.abs(ranges[:, 0] - value[0]) <= reach)
 
 
-def _measurements(detection: Detection) -> Readings:
-    """Possible measurements of a detection, likeliest first: with an alternative range rate the
-    azimuth is another one, which is not known.
-
-    Where azimuth and elevation are told, range and rate are those along the ground: r cos(el) of a
-    range r, and the rate over cos(el) of a target that stays at its height.
-    """
-    elevation, slope_m = 0.0, 0.0
-    angles = detection.azimuth_rad, detection.elevation_rad, detection.elevation_error_rad
-    if np.isfinite(angles).all():
-        elevation = detection.elevation_rad
-        slope_m = detection.range_m * np.sin(elevation) * detection.elevation_error_rad
-    level = max(float(np.cos(elevation)), _STEEP)
-    range_m, range_error_m = level * detection.range_m, level * detection.range_error_m
-    error = np.array(
-        [
-            np.hypot(range_error_m, slope_m),
-            detection.azimuth_error_rad,
-            detection.range_rate_error_m_per_s / level,
-        ]
-    )
-    azimuths = (detection.azimuth_rad, *detection.azimuth_alternatives_rad)
-    values = [(range_m, azimuth, detection.range_rate_m_per_s / level) for azimuth in azimuths]
-    values += [
-        (range_m, np.nan, rate / level) for rate in detection.range_rate_alternatives_m_per_s
-    ]
-    return tuple(TargetMeasurement(np.array(value), error) for value in values)
-
-
 def _common(readings: Readings) -> TargetMeasurement:
     """The measurement of what all alternatives of a detection have in common."""
     values = np.stack([reading.value for reading in readings])
     return replace(
         readings[0], value=np.where((values == values[0]).all(axis=0), values[0], np.nan)
     )
-
-
-def _antenna(
-    pose: QuaternionPose | None, velocity_m_per_s: Sequence[float] | Array
-) -> AntennaState:
-    """The antenna in the plane, from its pose in space."""
-    velocity = np.asarray(velocity_m_per_s, np.float64)
-    if pose is None:
-        return AntennaState(np.zeros(2), np.array([1.0, 0.0]), velocity)
-    ahead = pose.rotation.apply([1.0, 0.0, 0.0])[:2]
-    return AntennaState(pose.position_m[:2], ahead / np.linalg.norm(ahead), velocity)

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from hardware.radar.detection import Detection
 from hardware.radar.measurement import standard_errors
@@ -348,6 +349,70 @@ def test_a_turned_vehicles_tracks_are_in_the_world() -> None:
     tracker = Tracker(confirm=1)
     track = tracker.update([seen(np.array([10.0, 0.0, 0.0, 0.0]), error, rng)], 0.1, pose)[0]
     np.testing.assert_allclose(track.state[:2], [1.0, 12.0], atol=0.5)
+
+
+TILTS_DEG = [(0, 20, 0), (0, -20, 0), (0, 0, 30), (30, 20, -30)]
+
+
+def tilted(angles_deg: tuple[float, ...], place: np.ndarray) -> tuple[QuaternionPose, np.ndarray]:
+    """A pose 1 m above the origin by yaw, pitch and roll, and the direction to a place as it is in
+    the antenna's frame.
+    """
+    rotation = Rotation.from_euler("ZYX", angles_deg, degrees=True)
+    towards = place - [0.0, 0.0, 1.0]
+    x, y, z, w = rotation.as_quat().tolist()
+    pose = QuaternionPose(0.0, 0.0, 1.0, w, x, y, z)
+    return pose, rotation.inv().apply(towards / np.linalg.norm(towards))
+
+
+@pytest.mark.parametrize("angles_deg", TILTS_DEG)
+def test_a_tilted_antennas_targets_are_where_they_are_along_the_ground(angles_deg) -> None:
+    """0.5 m below it, with elevations: they were laid level in the antenna's frame, up to 0.7 m
+    off. Noise of both angles turns with them: NEES of 40 first looks within a chance of 1e-4.
+    """
+    place, rng = np.array([8.0, 3.0, 0.5]), np.random.default_rng(1)
+    pose, (x, y, z) = tilted(angles_deg, place)
+    range_m = float(np.linalg.norm(place - [0, 0, 1]))
+    total = 0.0
+    for noise in (0.0, *np.ones(40)):
+        azimuth, elevation = np.arctan2(y, x), np.arcsin(z)
+        found = Detection(
+            range_m=range_m + noise * 0.01 * rng.normal(),
+            range_rate_m_per_s=0.0,
+            power_w=1.0,
+            snr_db=20.0,
+            range_error_m=0.01,
+            range_rate_error_m_per_s=0.1,
+            azimuth_rad=azimuth + noise * 0.01 * rng.normal(),
+            azimuth_error_rad=0.01,
+            elevation_rad=elevation + noise * 0.02 * rng.normal(),
+            elevation_error_rad=0.02,
+        )
+        (track,) = Tracker(confirm=1).update([found], 0.1, pose)
+        off = track.state[:2] - place[:2]
+        if not noise:
+            np.testing.assert_allclose(track.state[:2], place[:2], atol=1e-9)
+        total += off @ np.linalg.solve(track.covariance[:2, :2], off)
+    assert stats.chi2.ppf(1e-4, 80) < total < stats.chi2.ppf(1 - 1e-4, 80)
+
+
+@pytest.mark.parametrize("angles_deg", TILTS_DEG)
+def test_without_an_elevation_a_target_is_at_the_antennas_height(angles_deg) -> None:
+    """A line to the left tells the cosine to it, wherever that points. It was 1.4 m off."""
+    place = np.array([8.0, 3.0, 1.0])
+    pose, (_, y, _) = tilted(angles_deg, place)
+    level = seen(np.array([*place[:2], 0.0, 0.0]), np.zeros(3), np.random.default_rng(0))
+    found = replace(level, azimuth_rad=float(np.arcsin(y)), azimuth_error_rad=0.01)
+    (track,) = Tracker(confirm=1).update([found], 0.1, pose)
+    np.testing.assert_allclose(track.state[:2], place[:2], atol=1e-9)
+
+
+def test_a_direction_that_no_level_target_has_is_left_out() -> None:
+    """Rolled by 60 degrees, a line sees cosines up to a half of targets at its height."""
+    pose, _ = tilted((0, 0, 60), np.array([8.0, 0.0, 1.0]))
+    beside = seen(np.array([3.0, 8.0, 0.0, 0.0]), np.full(3, 0.01), np.random.default_rng(0))
+    (track,) = Tracker(confirm=1).update([beside], 0.1, pose)
+    assert not track.estimate.has_position
 
 
 def test_a_moving_vehicle_sees_standing_targets_stand() -> None:
