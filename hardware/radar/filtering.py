@@ -1,10 +1,11 @@
 """The Kalman filter of one track: range, azimuth and range rate of a target that moves in a plane.
 
-The measurement is not linear in position and velocity: rotating the line of sight by an azimuth
-error of 0.4 degrees changes the range rate of a target that crosses at 3 m/s by 20 mm/s, several
-times the error of the rate. So the update is the most probable state given the prediction and the
-whole measurement, by Gauss-Newton: the iterated extended Kalman filter (Bell and Cathey, IEEE
-Trans. Autom. Control 38, 1993). The covariance is linearised there.
+Targets move straight in the plane, and are measured along and across the line of sight: the state
+is predicted in the plane's axes, and updated in range, azimuth, range rate and speed across (such
+coordinates: Aidala and Hammel, IEEE Trans. Autom. Control 28, 1983), where the measurement is
+linear. An update linearised in the plane's axes takes the arc of equal range to be straight, and
+turns the small error of the range into one of the azimuth: at 60 m with errors of 3 mm and 100 mrad
+37 % of places were within their 95 % intervals.
 
 A target whose azimuth was never measured has a state of range and range rate alone.
 """
@@ -16,8 +17,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_STEPS = 20  # of Gauss-Newton; from a fair prediction 3 to 5 suffice
-_CONVERGED = 1e-9  # of the squared distance, from one step to the next
 _LEAST_ERROR = 1e-9  # m, rad and m/s: a standard error of 0 would make the covariance singular
 
 
@@ -158,48 +157,56 @@ def measurement_model(state: Array, antenna: AntennaState) -> tuple[Array, Array
 
 
 def update_estimate(prior: Estimate, measured: TargetMeasurement, antenna: AntennaState) -> Update:
-    """The most probable state given a prediction and a measurement."""
+    """The estimate given a prediction and a measurement."""
     used = measured.known & np.array([True, prior.has_position, True])
-    weight = np.where(used, 1 / measured.variance, 0.0)
-    information: Array = np.linalg.inv(prior.covariance).astype(np.float64)
-    state = prior.state
-    distance, off, jacobian = _residuals(state, prior, information, measured, weight, antenna)
-    for _ in range(_STEPS):
-        curved = information + jacobian.T @ (weight[:, None] * jacobian)
-        slope = jacobian.T @ (weight * off) - information @ (state - prior.state)
-        change, before = np.linalg.solve(curved, slope), distance
-        for share in 0.5 ** np.arange(10):
-            distance, off, jacobian = _residuals(
-                state + share * change, prior, information, measured, weight, antenna
-            )
-            if distance <= before * (1 + _CONVERGED):
-                break
-        state = state + share * change
-        if before - distance <= _CONVERGED * (1 + distance):
-            break
-    covariance = np.linalg.inv(information + jacobian.T @ (weight[:, None] * jacobian))
-    shrunk = np.linalg.slogdet(prior.covariance)[1] - np.linalg.slogdet(covariance)[1]
+    polar, turn = _along_sight(prior.state, antenna)
+    covariance = turn @ prior.covariance @ turn.T
+    rows = np.flatnonzero(used if prior.has_position else used[[0, 2]])
+    residual = measured.value[used] - polar[rows]
+    if used[1]:
+        residual[1] = (residual[1] + np.pi) % (2 * np.pi) - np.pi
+    spread = covariance[np.ix_(rows, rows)] + np.diag(measured.variance[used])
+    gain = np.linalg.solve(spread, covariance[rows]).T
+    rest = np.eye(len(polar))
+    rest[:, rows] -= gain
+    covariance = rest @ covariance @ rest.T + gain * measured.variance[used] @ gain.T
+    state, back = _in_plane(polar + gain @ residual, antenna)
+    covariance = back @ covariance @ back.T
+    distance = float(residual @ np.linalg.solve(spread, residual))
     return Update(
         estimate=Estimate(state, (covariance + covariance.T) / 2),
         distance=distance,
-        cost=float(distance + shrunk + np.sum(np.log(measured.variance[used]))),
+        cost=distance + float(np.linalg.slogdet(spread)[1]),
         n_measured=int(used.sum()),
     )
 
 
-def _residuals(
-    state: Array,
-    prior: Estimate,
-    information: Array,
-    measured: TargetMeasurement,
-    weight: Array,
-    antenna: AntennaState,
-) -> tuple[float, Array, Array]:
-    """Squared distance of a state from prediction and measurement, residual of the measurement
-    (3,), 0 where it has no weight, and the Jacobian.
+def _along_sight(state: Array, antenna: AntennaState) -> tuple[Array, Array]:
+    """Range, azimuth, range rate and speed across of a target in a state, and their Jacobian; a
+    state without a position as it is.
     """
+    if len(state) == 2:
+        return state, np.eye(2)
     value, jacobian = measurement_model(state, antenna)
-    off = np.where(weight > 0, measured.value - value, 0.0)
-    off[1] = (off[1] + np.pi) % (2 * np.pi) - np.pi
-    moved = state - prior.state
-    return float(moved @ information @ moved + off @ (weight * off)), off, jacobian
+    off, velocity = state[:2] - antenna.place_m, state[2:] - antenna.velocity_m_per_s
+    sight = off / max(float(np.hypot(*off)), 1e-9)
+    across = np.array([-sight[1], sight[0]])
+    of_across = np.concatenate([-(velocity @ sight) / value[0] * across, across])
+    return np.append(value, velocity @ across), np.vstack([jacobian, of_across])
+
+
+def _in_plane(polar: Array, antenna: AntennaState) -> tuple[Array, Array]:
+    """The state of `_along_sight`, and its Jacobian."""
+    if len(polar) == 2:
+        return polar, np.eye(2)
+    range_m, azimuth, rate, beside = polar
+    left = np.array([-antenna.ahead[1], antenna.ahead[0]])
+    sight = np.cos(azimuth) * antenna.ahead + np.sin(azimuth) * left
+    across = np.array([-sight[1], sight[0]])
+    moving = rate * sight + beside * across
+    jacobian = np.zeros((4, 4))
+    jacobian[:2, 0], jacobian[:2, 1] = sight, range_m * across
+    jacobian[2:, 1] = rate * across - beside * sight
+    jacobian[2:, 2], jacobian[2:, 3] = sight, across
+    place = antenna.place_m + range_m * sight
+    return np.concatenate([place, antenna.velocity_m_per_s + moving]), jacobian

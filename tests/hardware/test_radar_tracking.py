@@ -120,10 +120,10 @@ def test_a_turn_is_followed_at_a_high_frame_rate() -> None:
 
 
 @pytest.mark.library("stonesoup")
-def test_the_filter_is_stone_soups_iterated_one() -> None:
-    """From the same first estimate through 20 frames of a turn: states within 1e-4 standard
-    deviations of `IteratedKalmanUpdater`'s, which stops at changes of 1e-6 m, covariances within
-    1e-3 of a unit correlation.
+def test_of_fine_azimuths_the_filter_is_stone_soups_iterated_one() -> None:
+    """From the same first estimate through 20 frames of a turn, azimuths of 0.08 mrad: states within
+    2e-3 standard deviations of `IteratedKalmanUpdater`'s, covariances within 2e-3 of a unit
+    correlation. That one is linearised in the plane, where coarse azimuths are not linear.
     """
     from datetime import datetime, timedelta
 
@@ -138,7 +138,7 @@ def test_the_filter_is_stone_soups_iterated_one() -> None:
     from stonesoup.types.state import GaussianState
     from stonesoup.updater.kalman import IteratedKalmanUpdater
 
-    rng, error, tracker = np.random.default_rng(1), errors(13), Tracker()
+    rng, error, tracker = np.random.default_rng(1), errors(13) * [1, 0.02, 1], Tracker()
     density = tracker.acceleration_m_per_s2**2 * STEP_S
     moves = KalmanPredictor(CombinedLinearGaussianTransitionModel([ConstantVelocity(density)] * 2))
     model = CartesianToBearingRangeRate2D(
@@ -162,9 +162,36 @@ def test_the_filter_is_stone_soups_iterated_one() -> None:
         theirs = IteratedKalmanUpdater(model).update(SingleHypothesis(expected, measured))
         deviation = np.sqrt(np.diag(covariance))
         off = (state - np.asarray(theirs.state_vector, float).ravel()) / deviation
-        np.testing.assert_allclose(off, 0, atol=1e-4)
+        np.testing.assert_allclose(off, 0, atol=2e-3)
         off = (covariance - np.asarray(theirs.covar, float)) / np.outer(deviation, deviation)
-        np.testing.assert_allclose(off, 0, atol=1e-3)
+        np.testing.assert_allclose(off, 0, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "error"),
+    [(150.0, (0.018, 0.025, 0.1)), (12.0, (0.003, 0.05, 0.02)), (60.0, (0.003, 0.1, 0.05))],
+)
+def test_of_coarse_azimuths_errors_across_are_stated(
+    range_m: float, error: tuple[float, ...]
+) -> None:
+    """Targets at rest after 15 looks, 60 runs: squared errors across the line of sight over those
+    stated, within a chance of 1e-3 on either side, and along it not above. They were 1.6 to 20
+    times as large: the arc of equal range was taken to be straight.
+    """
+    rng, truth = np.random.default_rng(4), np.array([range_m, 0.1 * range_m, 0.0, 0.0])
+    sight = truth[:2] / np.hypot(*truth[:2])
+    axes = np.stack([sight, [-sight[1], sight[0]]])
+    total = np.zeros(2)
+    for _ in range(60):
+        tracker = Tracker()
+        for _ in range(15):
+            tracker.update([seen(truth, np.array(error), rng)], STEP_S)
+        track = max(tracker.tracks, key=lambda one: one.hits)
+        spread = np.diag(axes @ track.covariance[:2, :2] @ axes.T)
+        total += (axes @ (track.state - truth)[:2]) ** 2 / spread
+    low, high = stats.chi2.ppf([1e-3, 1 - 1e-3], 60)
+    assert low < total[1] < high
+    assert total[0] < high
 
 
 # Identities.
