@@ -121,8 +121,8 @@ def test_a_turn_is_followed_at_a_high_frame_rate() -> None:
 
 @pytest.mark.library("stonesoup")
 def test_of_fine_azimuths_the_filter_is_stone_soups_iterated_one() -> None:
-    """From the same first estimate through 20 frames of a turn, azimuths of 0.08 mrad: states within
-    2e-3 standard deviations of `IteratedKalmanUpdater`'s, covariances within 2e-3 of a unit
+    """From the same first estimate through 20 frames of a turn, azimuths of 0.08 mrad: states
+    within 2e-3 standard deviations of `IteratedKalmanUpdater`'s, covariances within 2e-3 of a unit
     correlation. That one is linearised in the plane, where coarse azimuths are not linear.
     """
     from datetime import datetime, timedelta
