@@ -542,6 +542,24 @@ def test_the_command_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixt
         app(["drive", "table1", "--out", str(path)], standalone_mode=False)
 
 
+@pytest.mark.parametrize(("radar", "period_s"), [("prototype", 0.12644), ("hybrid-79", 0.1)])
+def test_a_burst_is_over_before_the_next(
+    radar: str, period_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The default period, 100 ms, was refused for `prototype`."""
+    planned: list[Drive] = []
+
+    def recorded(plan: Drive, *_: object, **__: object) -> None:
+        planned.append(plan)
+        raise InputError("not driven")
+
+    monkeypatch.setattr("twin.drive.drive", recorded)
+    words = ["drive", "yard", "--radar", radar, "--duration", "1 s"]
+    with pytest.raises(InputError, match="not driven"):
+        app([*words, "--out", str(tmp_path / "run.mcap")], standalone_mode=False)
+    assert planned[0].radar_period_s == pytest.approx(period_s)
+
+
 @pytest.mark.slow
 def test_killed_ten_times_at_random_and_gone_on_with(tmp_path: Path) -> None:
     whole, killed, rng = tmp_path / "whole.mcap", tmp_path / "killed.mcap", random.Random(5)
