@@ -1,4 +1,4 @@
-"""The folder of a run: named after what is not the default, of one run, whole."""
+"""Folders that commands write: of one run, whole; a run's is named after what is not default."""
 
 import json
 import os
@@ -11,17 +11,37 @@ from pathlib import Path
 from typing import Any
 
 from hardware.files import read_json
+from hardware.formatting import json_text
 from twin import __version__
 from twin.fidelity import DEFAULT, PRESETS, Fidelity
 from twin.files import InputError, whole_folder
 from twin.scene import Pose, Track
 
 INDEX = "run.json"
-_FORMAT = "ugv-twin-run"
+_FORMAT = "ugv-twin-{}"
 #: Files of each run.
 _ALWAYS = {INDEX, "report.html", "summary.json"}
 #: What a run is without being told; everything else stands in its folder's name.
 _DEFAULTS = {"radar": "hybrid-79", "compare": "paper", "seed": 0}
+
+
+@contextmanager
+def figures_folder(out: Path, what: str, *others: str) -> Iterator[Path]:
+    """A folder for ``WHAT.json``, the figures of a command, and other files; whole or not at all.
+
+    The JSON file lists them all. Raises as `check_figures`, before any work.
+    """
+    check_figures(out, what, *others)
+    with whole_folder(out) as partial:
+        yield partial
+        path = partial / f"{what}.json"
+        head = {"format": _FORMAT.format(what), "files": [path.name, *others]}
+        path.write_text(json_text({**head, **read_json(path)}), encoding="utf-8")
+
+
+def check_figures(out: Path, what: str, *others: str) -> None:
+    """Raise InputError for files of these names that no earlier command of the kind wrote."""
+    _check_own(Path(out), {f"{what}.json", *others}, what)
 
 
 @contextmanager
@@ -37,7 +57,12 @@ def run_folder(out: Path, settings: Mapping[str, Any]) -> Iterator[Path]:
     with whole_folder(out) as partial:
         yield partial
         written = sorted(path.name for path in partial.iterdir())
-        index = {"format": _FORMAT, "version": __version__, **settings, "files": written}
+        index = {
+            "format": _FORMAT.format("run"),
+            "version": __version__,
+            **settings,
+            "files": written,
+        }
         (partial / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
         _check_own(Path(out), {*written, INDEX})
         stale = _listed(Path(out) / INDEX) - {*written, INDEX}
@@ -147,22 +172,23 @@ def _number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def _check_own(out: Path, names: set[str]) -> None:
-    """Raise InputError where files of these names are not of an earlier run."""
-    listed = _listed(out / INDEX)
-    own = {*listed, INDEX} if listed else set()
+def _check_own(out: Path, names: set[str], what: str = "run") -> None:
+    """Raise InputError where files of these names are not of an earlier run, or what it is."""
+    index = out / f"{what}.json"
+    listed = _listed(index, what)
+    own = {*listed, index.name} if listed else set()
     if others := sorted(name for name in names - own if (out / name).is_file()):
         raise InputError(
-            f"{out}: holds {', '.join(others)}, of no earlier run, which this one would "
+            f"{out}: holds {', '.join(others)}, of no earlier {what}, which this one would "
             "overwrite; expected another folder"
         )
 
 
-def _listed(index: Path) -> set[str]:
+def _listed(index: Path, what: str = "run") -> set[str]:
     """Files of the run that wrote a list; none where there is no list that can be read."""
     try:
         content = read_json(index)
-        if content["format"] != _FORMAT:
+        if content["format"] != _FORMAT.format(what):
             return set()
         names: set[str] = set(content["files"])
         return {name for name in names if Path(name).name == name}

@@ -122,6 +122,8 @@ def process(
         distance_m=distance,
     )
     target, ending = out or _beside(source), Ending()
+    if target.exists():
+        raise InputError(f"{target}: exists: expected a new log: name another by -o, or delete it")
     # From a log, chunks are cut by their size alone: the same log gives the same bytes.
     flush_s = math.inf if is_log(source) else 0.5
     with asked_to_end() as over, Log(target, flush_s=flush_s) as log:

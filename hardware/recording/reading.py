@@ -4,7 +4,7 @@ import logging
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +13,16 @@ from typing import IO
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    Header,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+)
 
 from hardware.drivers.clock import ClockModel
 from hardware.errors import InputError
@@ -33,11 +42,16 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class LoggedMessage:
-    """One message of a log."""
+    """One message of a log; ``chunk``: offset of the chunk that holds it, None if none does."""
 
     topic: str
     schema: Schema
     message: Message
+    chunk: int | None = None
+
+
+#: What a log holds beside messages and their definitions.
+Beside = Header | Metadata | Attachment
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +73,7 @@ class Ending:
     fault
         First fault; None: none so far.
     lost_bytes
-        In broken or truncated chunks and messages; the rest is read.
+        In broken or truncated chunks, messages, metadata and attachments; the rest is read.
     lost_messages
         In those, as far as the index behind each broken chunk contains their number.
     being_written
@@ -100,6 +114,19 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
     Raises FileNotFoundError; InputError for a file that is not MCAP, or of which nothing can be
     read because a chunk is too large or of an unknown compression.
     """
+    for record in _read(path, ending, beside=False):
+        if isinstance(record, LoggedMessage):
+            yield record
+
+
+def read_all(path: str | Path, ending: Ending | None = None) -> Iterator[LoggedMessage | Beside]:
+    """As `read_messages`, and the log's header, metadata and attachments in their places."""
+    return _read(path, ending, beside=True)
+
+
+def _read(
+    path: str | Path, ending: Ending | None, *, beside: bool
+) -> Iterator[LoggedMessage | Beside]:
     path, ending = Path(path), ending or Ending()
     with path.open("rb") as file:
         size = path.stat().st_size
@@ -108,11 +135,9 @@ def read_messages(path: str | Path, ending: Ending | None = None) -> Iterator[Lo
                 raise InputError(f"{path}: no MCAP file")
             ending.fault = "its first bytes are damaged"
         ending.being_written = is_held(path)
-        reader, n = _LogReader(file, size, ending), 0
-        for message in reader.messages():
-            n += 1
-            yield message
-        if reader.refused and not n:
+        reader = _LogReader(file, size, ending, beside=beside)
+        yield from reader.records()
+        if reader.refused and not reader.n_messages:
             raise InputError(f"{path}: {reader.refused}")
 
 
@@ -141,21 +166,22 @@ class _Definitions:
 class _LogReader:
     """Iterates over the records of a file by their lengths."""
 
-    def __init__(self, file: IO[bytes], size: int, ending: Ending) -> None:
+    def __init__(self, file: IO[bytes], size: int, ending: Ending, *, beside: bool) -> None:
         self._file, self._size, self._ending = file, size, ending
+        self._kinds = (Opcode.CHUNK, *_DEFINITIONS, *(_BESIDE if beside else ()))
         self._known = _Definitions()
         self._searched = False
         self._from_broken_chunks = _Definitions()
         self._end = "it ends before its footer"
         self._chunks: set[bytes] = set()
         self.refused: str | None = None
-        self._n = self._n_counted = self._loose_bytes = 0
+        self.n_messages = self._n_counted = self._loose_bytes = 0
         self._in_index = False
         #: Messages of the broken chunk just passed; None: none is broken.
         self._n_of_broken: int | None = None
 
-    def messages(self) -> Iterator[LoggedMessage]:
-        """Every message that can be read."""
+    def records(self) -> Iterator[LoggedMessage | Beside]:
+        """Every message that can be read, and what is asked for beside them."""
         for head in Heads(self._file, self._size):
             if head.fault:
                 self._note(head.fault)
@@ -163,10 +189,10 @@ class _LogReader:
             if self._is_last(head):
                 break
             if self._may_hold_messages(head):
-                for message in self._in_head(head):
-                    self._n += 1
-                    yield message
-        if (missing := self._n_counted - self._n - self._ending.lost_messages) > 0:
+                for record in self._in_head(head):
+                    self.n_messages += isinstance(record, LoggedMessage)
+                    yield record
+        if (missing := self._n_counted - self.n_messages - self._ending.lost_messages) > 0:
             self._note(f"{missing} of the {self._n_counted} messages that it counts are missing")
             self._ending.lost_messages += missing
         if not self._ending.finished:
@@ -178,7 +204,7 @@ class _LogReader:
         whole = head.at + head.length <= self._size
         if not whole:
             self._end = "it ends within a record"
-            if head.kind not in _WITHOUT_MESSAGES and not self._ending.being_written:
+            if head.kind not in _WITHOUT_DATA and not self._ending.being_written:
                 self._ending.lost_bytes += self._size - head.at
         elif head.kind == Opcode.FOOTER:
             if not self._index_matches(head.at, head.length):
@@ -187,7 +213,9 @@ class _LogReader:
         return not whole or head.kind == Opcode.FOOTER
 
     def _may_hold_messages(self, head: Head) -> bool:
-        """Whether a record may, or says what they are; of others what they say is noted."""
+        """Whether a record may, says what they are, or is asked for beside them; of others what
+        they say is noted.
+        """
         kind, at, length = head.kind, head.at, head.length
         if kind == Opcode.MESSAGE_INDEX:
             if self._n_of_broken is not None:
@@ -206,18 +234,21 @@ class _LogReader:
         if kind == Opcode.MESSAGE and not self._in_index:
             self._loose_bytes += length
             return True
-        return kind == Opcode.CHUNK or kind in _DEFINITIONS
+        return kind in self._kinds
 
-    def _in_head(self, head: Head) -> Iterator[LoggedMessage]:
+    def _in_head(self, head: Head) -> Iterator[LoggedMessage | Beside]:
         """Messages of a record as far as they can be read; the rest is noted as lost."""
         n = 0
         try:
             body = self._body(head.at, head.length)
             if head.kind == Opcode.CHUNK and self._is_there_already(body):
                 return
-            for message in self._in_record(head.kind, body):
+            for record in self._in_record(head.kind, body):
                 n += 1
-                yield message
+                if isinstance(record, LoggedMessage) and head.kind == Opcode.CHUNK:
+                    yield replace(record, chunk=head.at)
+                else:
+                    yield record
         except Exception as error:
             if not _is_data_error(error):
                 raise
@@ -248,8 +279,13 @@ class _LogReader:
         self._file.seek(at)
         return self._file.read(length)
 
-    def _in_record(self, kind: int, body: bytes) -> Iterator[LoggedMessage]:
+    def _in_record(self, kind: int, body: bytes) -> Iterator[LoggedMessage | Beside]:
         stream = ReadDataStream(BytesIO(body))
+        if kind in _BESIDE:
+            if kind == Opcode.ATTACHMENT:
+                _check_attachment(body)
+            yield _BESIDE[kind].read(stream)
+            return
         within = (
             records_of_chunk(Chunk.read(stream))
             if kind == Opcode.CHUNK
@@ -334,7 +370,19 @@ class _LogReader:
 #: Where the index begins, where its second part does, and CRC-32 of both with these two numbers.
 _FOOTER = struct.Struct("<QQI")
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
-_WITHOUT_MESSAGES = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
+_BESIDE: dict[int, type[Beside]] = {
+    Opcode.HEADER: Header,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+}
+_WITHOUT_DATA = set(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE, Opcode.METADATA, Opcode.ATTACHMENT}
+
+
+def _check_attachment(body: bytes) -> None:
+    """Raise InputError where an attachment has another CRC-32 than it tells; 0 stands for none."""
+    told = int.from_bytes(body[-4:], "little")
+    if told and told != zlib.crc32(body[:-4]):
+        raise InputError("the CRC-32 of an attachment is another")
 
 
 def _is_data_error(error: Exception) -> bool:

@@ -65,6 +65,9 @@ def test_capture_process_info_recover_replay(firmware: Any, tmp_path: Path) -> N
     np.testing.assert_allclose(pixels, picture, rtol=1e-6, atol=1e-4)
     assert ugv("process", run, "--method", "zero-fill").returncode == 0
     assert (tmp_path / "run-processed.mcap").read_bytes() == out.read_bytes()
+    exists = ugv("process", run, "--method", "zero-fill")
+    assert exists.returncode == 2
+    assert "run-processed.mcap: exists: expected a new log: name another by -o, or" in exists.stderr
     again = ugv("process", f"replay:{run}", "-o", tmp_path / "again.mcap", "--method", "zero-fill")
     assert again.returncode == 0, again.stderr
     assert len(list(read_messages(tmp_path / "again.mcap"))) == 5

@@ -16,7 +16,8 @@ from mcap.writer import Writer
 from hardware import PatternSet
 from hardware.errors import InputError
 from hardware.recording import Log, read_messages, read_records, recover
-from hardware.recording.reading import Ending
+from hardware.recording.reading import Ending, read_all
+from hardware.recording.recovery import LOST
 
 
 def test_every_cut_leaves_what_was_flushed_before_it(tmp_path: Path) -> None:
@@ -88,6 +89,70 @@ def test_a_cut_within_the_head_of_a_record_loses_what_is_there_of_it(tmp_path: P
             list(read_messages(path, ending))
             assert ending.lost_bytes == (n_bytes if is_lost else 0)
             assert ending.fault == "it ends within a record"
+
+
+def with_words(path: Path) -> list[int]:
+    """A log with metadata before and between two chunks, an attachment behind the second, and a
+    third chunk; where each record ends.
+    """
+    with Log(path, flush_s=1e9, about={"digest": "1"}) as log:
+        ends = []
+        for seed in range(3):
+            log.record("/spi/record", camera_record(seed), host_ns=seed)
+            log.flush()
+            ends.append(path.stat().st_size)
+            if seed == 0:
+                log._writer.add_metadata("later", {"a": "b"})
+            if seed == 1:
+                log._writer.add_attachment(0, 1, "a.txt", "text/plain", b"words")
+            log.flush()
+            ends.append(path.stat().st_size)
+    return ends
+
+
+def beside(path: Path) -> list[object]:
+    """Header, metadata and attachments."""
+    return [one for one in read_all(path) if not hasattr(one, "topic")]
+
+
+def test_metadata_and_attachments_are_recovered(tmp_path: Path) -> None:
+    """Up to the cut: as the log begins, byte for byte, with an index of them."""
+    path = tmp_path / "log.mcap"
+    ends = with_words(path)
+    data, whole = path.read_bytes(), beside(path)
+    assert [type(one).__name__ for one in whole] == ["Header", *["Metadata"] * 2, "Attachment"]
+    for end in ends[2:]:
+        path.write_bytes(data[: end + 20])  # and the head of the next
+        recover(path)
+        assert path.read_bytes()[:end] == data[:end]
+        assert beside(path) == whole[: 4 if end >= ends[3] else 3]
+        with path.open("rb") as file:
+            summary = SeekingReader(file).get_summary()
+        assert summary.statistics.metadata_count == 2  # type: ignore[union-attr]
+
+
+def test_where_data_were_lost_stands_in_a_recovered_log(tmp_path: Path) -> None:
+    """And a damaged attachment is told, not copied."""
+    path = tmp_path / "log.mcap"
+    ends = with_words(path)
+    whole = bytearray(path.read_bytes())
+    data = bytearray(whole)
+    data[ends[3] - 6] ^= 1  # of the attachment's words, before its CRC-32
+    path.write_bytes(data)
+    done = recover(path)
+    assert done.ending.fault == "the CRC-32 of an attachment is another"
+    assert done.original
+    names = [getattr(one, "name", None) for one in beside(path)]
+    assert names == [None, "about", "later", LOST]
+    data = bytearray(whole)
+    data[ends[2] - 200] ^= 1  # of the second chunk, or its index
+    path.write_bytes(data)
+    lost = recover(path).ending.lost_bytes
+    kinds = [getattr(one, "topic", None) or getattr(one, "name", "") for one in read_all(path)]
+    assert kinds[-4:] == ["a.txt", LOST, "/spi/record", "/tf"]
+    [there] = [one for one in beside(path) if getattr(one, "name", "") == LOST]
+    assert there.metadata == {"bytes": str(lost)}  # type: ignore[attr-defined]
+    assert recover(path).ending.fault is None
 
 
 @pytest.mark.parametrize("broken", [0, 1, 3])

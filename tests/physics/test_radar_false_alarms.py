@@ -12,7 +12,8 @@ from benchmarks.false_alarms import RADARS, RATES, STILL, STRONG, count, false_d
 from hardware.radar import Cfar
 from hardware.radar.process import process
 from hardware.radar.settings import Processing
-from twin.fidelity import Fidelity
+from tests.physics.radar_worlds import world
+from twin.fidelity import PRESETS, Fidelity
 
 #: Maps that show some hundreds of alarms at 1e-3, and some at 1e-6.
 FEW = {"prototype": 12}
@@ -44,6 +45,16 @@ def test_false_detections_where_noise_falls_with_range_come_at_the_rate_asked_fo
     frames = [process(record("prototype", seed), 0, how) for seed in range(20)]
     due = 1e-4 * sum(frame.image.power_w.size for frame in frames)
     assert 0.5 < sum(len(frame.detections) for frame in frames) / due < 1.5
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_error_of_no_presets_synthesis_is_detected(preset: str) -> None:
+    """Free space, and the leakage alone: two echoes of 14 and 16 dB at delays on either side
+    of its own (0.15 and 153 m), where the channel's error may be 1e-3 of it.
+    """
+    knobs = PRESETS[preset].with_(radar="targets")
+    record = twin.radar_capture(world(), twin.load_radar("hybrid-79-mimo"), fidelity=knobs).record
+    assert process(record).detections == ()
 
 
 def test_the_yard_has_no_ghosts() -> None:

@@ -140,8 +140,41 @@ def test_numbers_that_are_none_are_null(twin, plate: Path) -> None:
 def test_the_document_holds_what_the_file_holds(twin, tmp_path, command: str, name: str) -> None:
     document = json.loads(twin(*command.split(), "--json", "--out", tmp_path / "out")[1])
     written = json.loads((tmp_path / "out" / name).read_text())
+    assert (written.pop("format"), name in written.pop("files")) == (f"ugv-twin-{name[:-5]}", True)
     assert {key: document[key] for key in written} == written
     assert document["written"] == [str(tmp_path / "out" / name)]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("budget", "budget.json"),
+        ("budget --system workable", "budget.png"),
+        ("safety", "safety.json"),
+        ("trade yard", "trade.json"),
+        ("trade yard", "trade.csv"),
+        ("trade yard", "trade.md"),
+        ("trade yard", "trade.png"),
+    ],
+)
+def test_files_of_somebody_else_are_not_overwritten(
+    twin, tmp_path: Path, command: str, name: str
+) -> None:
+    """They had been, without a word; refused before any work, `trade` would take minutes."""
+    (tmp_path / name).write_text("{}")
+    words = command.split()
+    status, out, error = twin(*words, "-q", "--out", tmp_path)
+    assert (status, out) == (2, "")
+    assert f"holds {name}, of no earlier {words[0]}, which this one would overwrite" in error
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [(name, "{}")]
+
+
+@pytest.mark.parametrize("command", ["budget", "safety"])
+def test_files_of_the_same_command_are_replaced(twin, tmp_path: Path, command: str) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    for _ in range(2):
+        assert twin(command, "-q", "--out", tmp_path)[0] == 0
+    assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
 def test_quiet_leaves_the_verdict(twin) -> None:

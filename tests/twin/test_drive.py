@@ -20,7 +20,7 @@ from hardware.errors import InputError
 from hardware.files import hold
 from hardware.processing import process
 from hardware.radar.process import frames
-from hardware.recording import Log, read_messages, read_records
+from hardware.recording import Log, read_messages, read_records, recover
 from hardware.records import RadarRecord, SpiRecord
 from twin.camera.mounting import devices
 from twin.camera.truth import render_truth
@@ -118,6 +118,26 @@ def test_bytes_damaged_behind_the_last_whole_event_do_not_matter(
     assert path.read_bytes() == data
     path.write_bytes(data[:-200] + bytes([data[-200] ^ 4]) + data[-199:])  # in the index
     assert drive(plan(), path).complete
+    assert path.read_bytes() == data
+
+
+@pytest.mark.parametrize("where", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("damage", ["cut", "zeros"])
+def test_a_recovered_log_is_gone_on_with_to_the_same_bytes(
+    whole: Path, tmp_path: Path, where: float, damage: str
+) -> None:
+    """It has its footer, but not all events: those before the first loss count, what `recover`
+    kept behind it is computed anew.
+    """
+    data, path = whole.read_bytes(), tmp_path / "recovered.mcap"
+    at = round(where * len(data))
+    path.write_bytes(data[:at])
+    whole_before = sum(one.topic == MARKS for one in read_messages(path))
+    path.write_bytes(data[:at] + (bytes(200) + data[at + 200 :]) * (damage == "zeros"))
+    assert recover(path).ending.finished == (damage == "zeros")
+    assert drive_log_about(path) == drive_log_about(whole)
+    done = drive(plan(), path)
+    assert (done.complete, done.resumed) == (True, whole_before)
     assert path.read_bytes() == data
 
 
@@ -520,6 +540,24 @@ def test_the_command_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixt
         app([*short, "--motion-tolerance", "little"], standalone_mode=False)
     with pytest.raises(InputError, match="nothing ends the motion of table1"):
         app(["drive", "table1", "--out", str(path)], standalone_mode=False)
+
+
+@pytest.mark.parametrize(("radar", "period_s"), [("prototype", 0.12644), ("hybrid-79", 0.1)])
+def test_a_burst_is_over_before_the_next(
+    radar: str, period_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The default period, 100 ms, was refused for `prototype`."""
+    planned: list[Drive] = []
+
+    def recorded(plan: Drive, *_: object, **__: object) -> None:
+        planned.append(plan)
+        raise InputError("not driven")
+
+    monkeypatch.setattr("twin.drive.drive", recorded)
+    words = ["drive", "yard", "--radar", radar, "--duration", "1 s"]
+    with pytest.raises(InputError, match="not driven"):
+        app([*words, "--out", str(tmp_path / "run.mcap")], standalone_mode=False)
+    assert planned[0].radar_period_s == pytest.approx(period_s)
 
 
 @pytest.mark.slow

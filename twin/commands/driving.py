@@ -34,9 +34,13 @@ def drive(
     system: Annotated[str, typer.Option(help="Bundled system or TOML file; `none`.")] = "workable",
     radar: Annotated[str, typer.Option(help="Bundled radar or TOML file; `none`.")] = "hybrid-79",
     radar_period: Annotated[
-        float,
-        typer.Option(help="Time from burst to burst of the radar.", parser=quantity_of("s")),
-    ] = 0.1,
+        float | None,
+        typer.Option(
+            help="Time from burst to burst of the radar; default 100 ms, or a burst if that is "
+            "longer.",
+            parser=quantity_of("s"),
+        ),
+    ] = None,
     truth_period: Annotated[
         float,
         typer.Option(
@@ -112,6 +116,8 @@ def drive(
     else:
         knobs = stored.with_(named_knobs(motion_tolerance, None))
         say.line(f"{out}: by the knobs of its first call, --within measures none anew")
+    if radar_period is None:
+        radar_period = max(Drive.radar_period_s, design.burst_s if design else 0.0)
     plan = Drive(
         scene=world,
         system=camera,

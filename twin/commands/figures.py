@@ -38,10 +38,13 @@ def budget(
     out: Annotated[Path | None, typer.Option(help="Folder for budget.json and budget.png.")] = None,
 ) -> None:
     """Signal, noise and SNR of a system in closed form, or the paper's Table 1 and frame rates."""
-    from twin.files import InputError, check_out, whole_folder
+    from twin.files import InputError, check_out
+    from twin.run_folder import check_figures, figures_folder
     from twin.system import load_system
 
     check_out(out)
+    if out is not None:
+        check_figures(out, "budget", "budget.png")
     of_table_1 = table_1 or system is None
     if not of_table_1 and (whole_line or before_lens):
         raise InputError("--whole-line, --filter-before-lens: are of the paper's table: --table-1")
@@ -61,7 +64,7 @@ def budget(
     for said in assumed:
         say.line(f"assumed: {said}")
     if out is not None:
-        with whole_folder(out) as folder:
+        with figures_folder(out, "budget", "budget.png") as folder:
             write(folder)
         say.written(out / "budget.json")
 
@@ -127,11 +130,14 @@ def safety(
 ) -> None:
     """Margin to the exposure limits of the eye, compared with the same light at 850 nm."""
     from twin.budget.safety import print_safety, safety_content, safety_verdict, write_safety
-    from twin.files import InputError, check_out, whole_folder
+    from twin.files import InputError, check_out
     from twin.optics.hazards import assumptions, hazards
+    from twin.run_folder import check_figures, figures_folder
     from twin.system import load_system
 
     check_out(out)
+    if out is not None:
+        check_figures(out, "safety")
     design = load_system(system)
     try:
         rows = hazards(design)
@@ -144,7 +150,7 @@ def safety(
         say.line(f"assumed: {line}")
     say.verdict(f"{design.name}: {safety_verdict(rows)}")
     if out is not None:
-        with whole_folder(out) as folder:
+        with figures_folder(out, "safety") as folder:
             write_safety(design, rows, folder)
         say.written(out / "safety.json")
 

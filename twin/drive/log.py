@@ -20,8 +20,9 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from hardware.errors import InputError
 from hardware.files import is_held, naming
-from hardware.recording import Log, read_messages
-from hardware.recording.reading import Ending, LoggedMessage
+from hardware.recording import Log
+from hardware.recording.reading import Ending, LoggedMessage, read_all
+from hardware.recording.recovery import LOST
 from hardware.recording.ros import Definition
 from twin.drive.truth import CLOCK, Mark
 from twin.fidelity import Fidelity
@@ -44,17 +45,19 @@ class DriveLog:
         A new file, or what is left of the log of the same drive.
     about
         Words at the beginning of the log; ``digest`` tells drives apart.
+    n_events
+        Of the whole drive. A log that was recovered has its footer, but not all of them.
 
     Raises InputError for another file at ``path``, one that is being written, or one whose bytes
     are not those that this software writes.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, about: Mapping[str, str], n_events: int) -> None:
         self.path, self.events, self.complete = path, 0, False
-        left = _left(path, about)
+        left = _left(path, about, n_events)
         self.complete = left.complete
         if left.complete:
-            self.events = left.events
+            self.events = n_events
             return
         with naming(path):
             self._output = _Output(path)
@@ -103,11 +106,10 @@ class _Left:
     """What a file holds of a drive: its whole events, each a list of messages, as they are read."""
 
     complete: bool = False
-    events: int = 0
     whole: Iterator[list[LoggedMessage]] = field(default_factory=lambda: iter(()))
 
 
-def _left(path: Path, about: Mapping[str, str]) -> _Left:
+def _left(path: Path, about: Mapping[str, str], n_events: int) -> _Left:
     if not path.exists() or path.stat().st_size == 0:
         return _Left()
     if is_held(path):
@@ -123,12 +125,13 @@ def _left(path: Path, about: Mapping[str, str]) -> _Left:
             "expected a new file"
         )
     ending = Ending()
-    marks = _count(path, ending)
+    events = sum(1 for _ in _whole_events(path, ending))
     with path.open("rb") as file:
         file.seek(-_MAGIC_BYTES, 2)
-        if ending.fault is None and file.read() == MCAP0_MAGIC:
-            return _Left(complete=True, events=marks)
-    return _Left(whole=_whole_events(path))
+        is_closed = ending.fault is None and file.read() == MCAP0_MAGIC
+    if is_closed and events == n_events:
+        return _Left(complete=True)
+    return _Left(whole=_whole_events(path, Ending()))
 
 
 def words_of(knobs: Fidelity) -> dict[str, str]:
@@ -150,16 +153,14 @@ def stored_fidelity(path: Path) -> Fidelity | None:
     return Fidelity().with_(knobs) if knobs else None
 
 
-def _count(path: Path, ending: Ending) -> int:
-    return sum(logged.topic == MARKS for logged in read_messages(path, ending))
-
-
-def _whole_events(path: Path) -> Iterator[list[LoggedMessage]]:
-    """Messages of each event up to the first that is damaged."""
-    ending, messages, expected = Ending(), list[LoggedMessage](), 0
-    for logged in read_messages(path, ending):
-        if ending.fault is not None:
+def _whole_events(path: Path, ending: Ending) -> Iterator[list[LoggedMessage]]:
+    """Messages of each event up to the first that is damaged, or was before it was recovered."""
+    messages, expected = list[LoggedMessage](), 0
+    for logged in read_all(path, ending):
+        if ending.fault is not None or (isinstance(logged, Metadata) and logged.name == LOST):
             return
+        if not isinstance(logged, LoggedMessage):
+            continue
         messages.append(logged)
         if logged.topic != MARKS:
             continue

@@ -75,7 +75,7 @@ def drive(
         **words_of(plan.fidelity),
     }
     start, told = time.monotonic(), WarningCounts()
-    with DriveLog(path, about) as log:
+    with DriveLog(path, about, sum(1 for _ in plan.events())) as log:
         resumed = log.events
         begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
         tell(begun_s)

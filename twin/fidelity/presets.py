@@ -23,7 +23,6 @@ PRESETS = {
         samples=4,
         max_depth=1,
         motion_tolerance=1.0,
-        nufft_tolerance=1e-3,
         noise="gaussian",
         radar_tolerance=0.3,
     ),

@@ -69,7 +69,13 @@ class RadarFidelity(Knobs):
         Or a model of a user's own (`twin.PropagationModel`): a function, ``file.py:function``, or
         the name of an entry point of the group ``twin.propagation``.
     nufft_tolerance
-        Relative error of the radar's channel against the direct sum.
+        Largest error of the radar's channel against the direct sum, relative to the channel's root
+        mean square: not to the noise. Of one strong contribution, such as the leakage between
+        antennas, this error is no noise either, but echoes that are not there, at delays on
+        either side of its own. Their power is below a thousandth of the tolerance's
+        square: 91 dB below the contribution at 1e-3, where `hybrid-79-mimo` shows two targets of 14
+        and 16 dB in every burst, 148 dB at 1e-6. No preset is coarser than that; it costs 1 and 8 %
+        of a frame of the yard by `draft` with one antenna and with 3 x 4.
     radar_tolerance
         Of physical optics, 0.001 to 1. Estimated error of the echo of every body over the band,
         relative to its root mean square, or to an echo 40 dB below the strongest body's, or to a

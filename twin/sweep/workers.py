@@ -1,12 +1,14 @@
 """Who computes: this process, a cluster of processes here, or a running Dask scheduler."""
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from twin.errors import EngineError
@@ -72,7 +74,11 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
     cores = n_cores()
     n = workers or cores
     threads = max(1, cores // n)
-    with _local(n) as cluster, Client(cluster, set_as_default=False) as client:
+    with (
+        _loop() as loop,
+        _local(n, loop) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
         yield Submit(partial(_send, client, _on_threads, threads), _result, _AHEAD * n)
 
 
@@ -81,17 +87,38 @@ def n_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def _local(n: int) -> "LocalCluster":
-    """Processes here; of one that dies later another takes the place."""
-    from distributed import LocalCluster
+@contextmanager
+def _loop() -> Iterator[Any]:
+    """The event loop that starts processes, in a thread that blocks SIGINT, which they inherit:
+    Ctrl-C in a terminal goes to them too, and one that still imports would print a trace of it.
+    """
+    from distributed.utils import LoopRunner
 
     # What an interrupt or a kill leaves of them Python's tracker removes, a process that is given
     # these options when it starts. It need not be told: nothing is lost.
     if _TRACKER not in sys.warnoptions:
         sys.warnoptions.append(_TRACKER)
+    resource_tracker.ensure_running()  # which would unblock SIGINT in the thread that first asks
+    runner = LoopRunner()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        runner.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
+        yield runner.loop
+    finally:
+        runner.stop()
+
+
+def _local(n: int, loop: Any) -> "LocalCluster":
+    """Processes here; of one that dies later another takes the place."""
+    from distributed import LocalCluster
+
     try:
         return LocalCluster(
             n_workers=n,
+            loop=loop,
             threads_per_worker=1,
             processes=True,
             dashboard_address="127.0.0.1:0",  # None still takes port 8787, or warns of it

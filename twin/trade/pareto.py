@@ -8,10 +8,10 @@ import numpy as np
 from hardware.patterns import PatternSet
 from twin.errors import check_seed
 from twin.fidelity import DEFAULT_SHARE, Fidelity
-from twin.files import InputError, check_out, whole_folder
+from twin.files import InputError, check_out
 from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
-from twin.run_folder import named_folder, unless
+from twin.run_folder import figures_folder, named_folder, unless
 from twin.scene import Scene, load_scene
 from twin.system import System, load_system
 from twin.trade.brute_force import Agreement, check
@@ -52,7 +52,8 @@ def run_trade(
         Of all random numbers.
     out
         Folder to write to; default ``runs/trade-SCENE-SYSTEM`` with all settings that differ from
-        the default. It is written completely or not at all.
+        the default. It is written completely or not at all, and refused before any work where it
+        holds files of these names that are of no earlier trade.
 
     Returns the result and the folder. Raises InputError and EngineError as `twin.run` does.
 
@@ -72,7 +73,7 @@ def run_trade(
         with stages.stage("load"):
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         folder = Path(out or _folder(loaded, design, sensor, tolerance, within_s, seed))
-        with whole_folder(folder) as partial:
+        with figures_folder(folder, "trade", "trade.csv", "trade.md", "trade.png") as partial:
             trade = _measure(
                 loaded, design, sensor, tolerance, within_s, seed, stages.stage, checked=True
             )

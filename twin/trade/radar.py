@@ -37,7 +37,7 @@ _AS_RUN = Tolerance().knobs().with_(radar="optics")
 _LEVELS: tuple[tuple[Fidelity, tuple[float, ...]], ...] = (
     (Fidelity(radar="targets"), (1e-6,)),
     (Fidelity(radar="paths"), (1e-6,)),
-    (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-3,)),
+    (Fidelity(radar_tolerance=PRESETS["draft"].radar_tolerance), (1e-6,)),
     (Fidelity(), (1e-3, 1e-6, 1e-10)),
     (_AS_RUN, (1e-6,)),
     (_BY_BOUNDS.with_(radar_tolerance=PRESETS["reference"].radar_tolerance), (1e-6,)),
