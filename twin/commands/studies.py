@@ -314,8 +314,7 @@ def _save_design(
     if point is None:
         best = best_point(data, metric, void=void)
         point = best.point
-        near = f"; {best.n_as_good} more within the model's errors" if best.n_as_good else ""
-        say.verdict(f"best {metric}: point {point}{near} ({data[metric].attrs['long_name']})")
+        say.verdict(f"best {metric}: {best} ({data[metric].attrs['long_name']})")
     check_point(data, point)
     if is_coarse(data, point):
         say.warn(f"point {point}: was computed to a coarse tolerance alone; see its errors")
