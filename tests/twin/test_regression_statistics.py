@@ -158,9 +158,9 @@ def gain(rng: np.random.Generator, n: int, few: float) -> np.ndarray:
 @pytest.mark.parametrize("n", [16, 48])
 @pytest.mark.parametrize("few", [1.0, 0.0])
 def test_a_seed_that_gains_less_than_the_others_is_not_worse(n: int, few: float) -> None:
-    """8 dB gained at most seeds, 1 dB or nothing at a fifth of them: 1 % of false alarms is stated,
-    and none of 300 comparisons alarms. On 43f3f9f7 97 to 100 % do. If a seed's own loss only had to be
-    beyond the tolerance, and not beyond the scatter too, 75 to 98 % of those without a gain would.
+    """8 dB gained at most seeds, 1 dB or nothing at a fifth: none of 300 comparisons alarms,
+    where 1 % is stated. On 43f3f9f7 97 to 100 % do; of those without a gain 75 to 98 % would if
+    a seed's own loss had to be beyond the tolerance alone, and not beyond the scatter.
     """
     rng = np.random.default_rng(10)
     for _ in range(300):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.settings import Processing
+from hardware.read_only import read_only
 from twin.camera.acquisition import Capture, capture, measure
 from twin.camera.moving_frame import world_in_motion
 from twin.errors import InputError
@@ -17,7 +18,7 @@ from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
 from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
-from twin.sweep.metrics import Outcome, metric, read_only
+from twin.sweep.metrics import Outcome, metric
 from twin.sweep.names import ERRORS, columns_of
 from twin.sweep.setup import Setup, setup
 from twin.sweep.shared_light import light_of, renders
