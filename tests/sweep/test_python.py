@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hardware.radar.range_doppler import RangeDopplerMap
+from twin.cli import app
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar
@@ -194,6 +196,27 @@ def test_a_metric_changes_no_result_and_ends_no_sweep(tmp_path: Path) -> None:
         done = run_sweep(study, out=tmp_path / own.__name__, workers=0)
         assert done.n_failed == failed
         assert told in str(done.reasons)
+
+
+def test_an_error_of_several_lines_is_told_in_one(tmp_path: Path) -> None:
+    def fails(outcome) -> float:
+        raise RuntimeError("first line\n  second line")
+
+    done = run_sweep(_study(metrics=[fails]), out=tmp_path / "out", workers=0)
+    assert done.reasons == (("RuntimeError: first line second line", 1),)
+
+
+def test_points_left_out_of_shares_may_be_no_number(tmp_path: Path) -> None:
+    """A metric of one's own gives NaN at one value of a grid: the note says so."""
+
+    def over_two(outcome) -> float:
+        width_m = outcome.setup.system.detector.width_m.value
+        return float("nan") if width_m > 2e-3 else width_m
+
+    grid = {"system.detector.width_m": [1e-3, 2e-3, 3e-3]}
+    done = run_sweep(_study(metrics=[over_two], grid=grid), out=tmp_path / "out", workers=0)
+    shown = CliRunner().invoke(app, ["show", str(done.out)], catch_exceptions=False)
+    assert "3 mm: all its points are void, failed, infinite or not a number" in shown.output
 
 
 @pytest.mark.parametrize(

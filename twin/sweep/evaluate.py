@@ -63,6 +63,11 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
     return whole
 
 
+def in_one_line(error: BaseException) -> str:
+    """Kind and words of an error, of which a user's own may have several lines."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
 def failed(study: Study, index: int, why: str) -> Chunk:
     """A point that failed."""
     nothing = {name: np.array([np.nan]) for name in columns_of(study.metrics, study.model)}
@@ -111,7 +116,7 @@ def _rendered_points(study: Study, points: NDArray[np.intp], inputs: Inputs) -> 
         except ChangedError:
             raise
         except (Exception, SystemExit) as error:  # any user's function may fail in any way
-            chunk.errors[index] = f"{type(error).__name__}: {error}"
+            chunk.errors[index] = in_one_line(error)
             for values in chunk.values.values():
                 values[place] = np.nan
     chunk.renders = renders() - before
@@ -171,7 +176,7 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
         raise
     except InputError as error:
         if stop - start == 1:
-            return failed(study, start, f"{type(error).__name__}: {error}")
+            return failed(study, start, in_one_line(error))
     # Some point can't be: halve until it stands alone.
     middle = (start + stop) // 2
     halves = ((start, middle), (middle, stop))
