@@ -22,6 +22,7 @@ from hardware.patterns.orders import ORDERS, ordered_indices, shown_indices
 from hardware.patterns.own import OwnPatterns, own_patterns
 from hardware.patterns.raster import RasterScan
 from hardware.patterns.transform import fwht, fwht_in_place, hadamard_rows
+from hardware.read_only import cached_read_only
 
 __all__ = [
     "ORDERS",
@@ -162,7 +163,7 @@ class PatternSet(Patterns):
         """The patterns at these places, ``(count,)``, in the order shown."""
         return PatternSet.of(self.rows, self.columns, self.indices[places].tolist(), self.mode)
 
-    @cached_property
+    @cached_read_only
     def common_cells(self) -> NDArray[np.bool_]:
         """Cells on which all patterns agree: lit in each, or (S-matrix) in none; ``(n_cells,)``.
 

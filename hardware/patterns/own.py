@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hardware.errors import InputError
 from hardware.patterns.interface import MOST_CELLS, Mode, Patterns
 from hardware.patterns.stacks import MOST_VALUES, read_stack
+from hardware.read_only import cached_read_only
 
 Array = NDArray[np.float64]
 #: Of a fully lit cell.
@@ -87,14 +88,12 @@ class OwnPatterns(Patterns):
         """Whether each cell is either lit or dark."""
         return bool(((self.levels == 0) | (self.levels == LIT)).all())
 
-    @cached_property
+    @cached_read_only
     def lit(self) -> Array:
         """Light of each cell of each pattern, 0 to 1, ``(count, n_cells)``."""
-        lit = self.levels.reshape(self.count, -1) / LIT
-        lit.flags.writeable = False
-        return lit
+        return self.levels.reshape(self.count, -1) / LIT
 
-    @cached_property
+    @cached_read_only
     def matrix(self) -> Array:
         """What measurements are of the cells, ``(count, n_cells)``: pattern less complement, -1 to
         +1; of plain sets twice the pattern, less the mean of all patterns.
@@ -103,12 +102,12 @@ class OwnPatterns(Patterns):
             return np.asarray(2 * (self.lit - self.lit.mean(axis=0)))
         return 2 * self.lit - 1
 
-    @cached_property
+    @cached_read_only
     def common_cells(self) -> NDArray[np.bool_]:
         """Cells on which all patterns agree, ``(n_cells,)``."""
         return np.asarray((self.levels == self.levels[0]).all(axis=0).ravel())
 
-    @cached_property
+    @cached_read_only
     def unmeasured_cells(self) -> NDArray[np.bool_]:
         """Cells of which the exposures tell nothing: of a plain set those on which all patterns
         agree, else those that are half lit in each.

@@ -5,7 +5,7 @@ A two-dimensional transform of the channel (Sturm and Wiesbeck, Proc. IEEE 99, 2
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from hardware.errors import InputError, check_count, check_kind
 from hardware.radar.demodulation import Complex
 from hardware.radar.whitening import whiten
 from hardware.radar.windows import check_window, normalised_window
+from hardware.read_only import cached_read_only
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -55,12 +56,12 @@ class RangeDopplerMap(Described):
     relative_noise: Array | None = None
     noise_error_w: float = 0.0
 
-    @cached_property
+    @cached_read_only
     def range_m(self) -> Array:
         """Range of each row (n_ranges,)."""
         return C_M_PER_S / 2 * self.delay_s
 
-    @cached_property
+    @cached_read_only
     def range_rate_m_per_s(self) -> Array:
         """Range rate of each column (n_rates,)."""
         return C_M_PER_S / 2 * self.delay_rate

@@ -119,6 +119,26 @@ def test_points_that_are_void_are_not_the_best_and_near_ones_are_told(swept: Pat
     assert best_point(data, "snr").n_as_good == near
 
 
+@pytest.mark.parametrize(("unknown", "equal"), [("all", 3), ("all", 1), ("one", 1)])
+def test_of_errors_that_are_not_known_nothing_is_within(
+    swept: Path, unknown: str, equal: int
+) -> None:
+    """As of a metric of one's own that gives a number alone: exact ties are counted, and the best
+    point with them. On 43f3f9f7 "-1 more within the model's errors".
+    """
+    data = open_sweep(swept).load()
+    order = np.argsort(-data["snr"].to_numpy().ravel())
+    data["snr"].to_numpy().ravel()[order[:equal]] = 1e6
+    error = np.full(data["snr"].shape, np.nan if unknown == "all" else 1e5)
+    error.ravel()[order[5]] = np.nan
+    for kind in ("standard_error", "systematic"):
+        data[f"snr.{kind}"] = (data["snr"].dims, error)
+    best = best_point(data, "snr")
+    assert (best.n_as_good, best.errors_known) == (equal - 1, False)
+    more = ", 2 more exactly equal" if equal == 3 else ""
+    assert str(best) == f"point {best.point}; the model's errors are not known{more}"
+
+
 def test_the_command_saves_it_and_says_how_it_is_run(swept: Path, tmp_path: Path) -> None:
     words = [swept, "--metric", "snr", "--save", tmp_path / "best.toml", "--json"]
     document = json.loads(show(*words).stdout)

@@ -103,6 +103,21 @@ def test_a_front_without_points_says_so(swept: Path) -> None:
     assert designs.verdict == "no point has a number of both snr and minimum_time_s"
 
 
+def test_designs_that_equal_one_on_the_front_are_counted(swept: Path) -> None:
+    """One of several that are equal in both metrics is listed."""
+    data = open_sweep(swept).load()
+    first = {"system.optics.f_number": 0}
+    for name in METRICS:  # all f-numbers as the first
+        data[name] = data[name].copy(data=data[name] * 0 + data[name][first])
+    designs = designs_on_front(data, *METRICS)
+    n = len(designs.rows)
+    assert designs.n_equal == 3 * n
+    assert designs.verdict.endswith(
+        f"{n} of 24 points are on the Pareto front; {3 * n} more equal one of them in both metrics"
+    )
+    assert not designs_on_front(open_sweep(swept), *METRICS).n_equal
+
+
 def test_without_a_front_every_point_is_listed(swept: Path, tmp_path: Path) -> None:
     """Those off the front had their numbers in Python alone."""
     words = ["show", str(swept), "--csv", str(tmp_path / "points.csv")]

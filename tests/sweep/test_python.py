@@ -4,12 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from hardware.radar.range_doppler import RangeDopplerMap
+from twin.cli import app
 from twin.fidelity import Fidelity
 from twin.files import InputError
 from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.sweep import Study, load_study, open_sweep, run_sweep
+from twin.sweep.evaluate import outcome_of
 from twin.sweep.inputs import inputs_of
 from twin.system import load_part, load_system
 
@@ -192,6 +196,59 @@ def test_a_metric_changes_no_result_and_ends_no_sweep(tmp_path: Path) -> None:
         done = run_sweep(study, out=tmp_path / own.__name__, workers=0)
         assert done.n_failed == failed
         assert told in str(done.reasons)
+
+
+def test_an_error_of_several_lines_is_told_in_one(tmp_path: Path) -> None:
+    def fails(outcome) -> float:
+        raise RuntimeError("first line\n  second line")
+
+    done = run_sweep(_study(metrics=[fails]), out=tmp_path / "out", workers=0)
+    assert done.reasons == (("RuntimeError: first line second line", 1),)
+
+
+def test_points_left_out_of_shares_may_be_no_number(tmp_path: Path) -> None:
+    """A metric of one's own gives NaN at one value of a grid: the note says so."""
+
+    def over_two(outcome) -> float:
+        width_m = outcome.setup.system.detector.width_m.value
+        return float("nan") if width_m > 2e-3 else width_m
+
+    grid = {"system.detector.width_m": [1e-3, 2e-3, 3e-3]}
+    done = run_sweep(_study(metrics=[over_two], grid=grid), out=tmp_path / "out", workers=0)
+    shown = CliRunner().invoke(app, ["show", str(done.out)], catch_exceptions=False)
+    assert "3 mm: all its points are void, failed, infinite or not a number" in shown.output
+
+
+@pytest.mark.parametrize(
+    "array_of",
+    [
+        lambda outcome: outcome.capture.noise_draws.measured[0].values,
+        lambda outcome: outcome.capture.noise_draws.records[0].counts,
+        lambda outcome: outcome.capture.noise_draws.records[0].flags,
+        lambda outcome: outcome.setup.scene.objects[0].box_m,
+        lambda outcome: outcome.setup.scene.objects[0].state.velocity_m_per_s,
+        lambda outcome: outcome.setup.scene.objects[0].geometry.normals,
+        lambda outcome: outcome.setup.scene.objects[0].geometry.shape.hull,
+        lambda outcome: outcome.setup.scene.objects[0].geometry.edges.ends,
+        lambda outcome: outcome.setup.scene.rig.state.velocity_m_per_s,
+        lambda outcome: outcome.reconstruction.image,
+    ],
+)
+def test_what_is_computed_for_a_metric_is_read_only_too(array_of) -> None:
+    """What is kept of the capture, the scene and its meshes, as of the map below, is computed when
+    it is first asked for, by one's own metric perhaps. On 43f3f9f7 such a metric changed PSNR's
+    error and the echoes of other points, without a word.
+    """
+    array = array_of(outcome_of(_study(metrics=["psnr_db"]), 0))
+    with pytest.raises(ValueError, match="read-only"):
+        array[...] = 0
+
+
+def test_axes_of_a_map_are_read_only() -> None:
+    image = RangeDopplerMap(np.ones((2, 3)), np.arange(2.0), np.arange(3.0), 1.0)
+    for axis in (image.range_m, image.range_rate_m_per_s):
+        with pytest.raises(ValueError, match="read-only"):
+            axis[0] = 1.0
 
 
 def test_a_closed_point_that_is_no_number_says_so(tmp_path: Path) -> None:

@@ -264,10 +264,14 @@ metrics = ["snr_median", "psnr_db"]
     assert again == two
 
 
-def test_a_parameter_without_effect_is_told_between_points_of_one_accuracy(
+def test_a_parameter_without_effect_is_told_where_it_is_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not the step between a coarse point and a fine one."""
+    """Of points of one accuracy, all with numbers. Between a coarse point and a fine one a step of
+    the values is no effect, and none tells of no effect; nor does a point without a number. On
+    43f3f9f7 such points counted as equal: a parameter was told to change nothing whose points were
+    all of two accuracies, infinite, or failed.
+    """
     from twin.sweep import effects
 
     done, _ = _simulated(monkeypatch, tmp_path / "out", FRONT, 3)
@@ -278,9 +282,24 @@ def test_a_parameter_without_effect_is_told_between_points_of_one_accuracy(
     data["void"][:] = False  # what decides it has an effect as well
     assert coarse.any()
     assert not coarse.all()
-    assert set(effects.without_effect(data)) == {"scene.rig.x_m", "system.readout.read_noise_e"}
+    assert not list(effects.without_effect(data))
+    by_one = data["psnr_db"].dims.index("system.readout.read_noise_e")
+    data["coarse"][:] = np.take(coarse, [0], axis=by_one)  # of one accuracy along read noises
+    for name in FRONT:
+        data[name][:] = np.where(data["coarse"], 1.0, 1.1)
+    assert list(effects.without_effect(data)) == ["system.readout.read_noise_e"]
+    data["coarse"][:] = False
+    data["minimum_time_s"][:] = data["psnr_db"][:] = 1.0
+    both = {"scene.rig.x_m", "system.readout.read_noise_e"}
+    assert set(effects.without_effect(data)) == both
+    for unknown in (np.nan, np.inf):
+        some = data.copy(deep=True)
+        some["psnr_db"][0, 0] = unknown
+        assert not list(effects.without_effect(some))
+        some["psnr_db"][:] = unknown
+        assert not list(effects.without_effect(some))
     data["psnr_db"][0, 0] = 3.0
-    assert set(effects.without_effect(data)) <= {"system.readout.read_noise_e"}
+    assert not list(effects.without_effect(data))
 
 
 def test_a_metric_of_ones_own_says_which_is_better(tmp_path: Path) -> None:

@@ -282,8 +282,8 @@ def test_grid_values_that_are_void_throughout_are_left_out_of_a_sample(tmp_path:
     gaps = data.assign(signal_e_per_s=one.assign_attrs(metric.attrs))
     with pytest.raises(
         InputError,
-        match=r"0 drawn points are left, expected 80 or more: 79 of 240 points are void, failed or "
-        rf"infinite, most at {lux} = 100 klx \(99 %\); --void takes void ones too",
+        match=r"0 drawn points are left, expected 80 or more: 79 of 240 points are void, failed, "
+        rf"infinite or not a number, most at {lux} = 100 klx \(99 %\); --void takes void ones too",
     ):
         sensitivities(gaps, "signal_e_per_s")
     gaps = data.assign(signal_e_per_s=(metric * np.nan).assign_attrs(metric.attrs))

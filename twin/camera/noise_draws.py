@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.read_only import cached_read_only
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain, Powers
@@ -54,12 +54,12 @@ class NoiseDraws:
         spread = self._chain.system.emitter.intensity_noise
         return spread.value if spread and self.has_noise else 0.0
 
-    @cached_property
+    @cached_read_only
     def records(self) -> tuple[SpiRecord, ...]:
         """`N_DRAWS` records that differ from the frame's in noise alone; none without any."""
         return tuple(self._drawn()) if self.has_noise else ()
 
-    @cached_property
+    @cached_read_only
     def measured(self) -> tuple[Measurements, ...]:
         """What reconstructions take of those records: of a scan, the echoes of each."""
         return tuple(measurements(with_level(record.received)) for record in self.records)

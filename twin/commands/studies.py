@@ -278,12 +278,13 @@ def _tell_sensitivities(
     say: Output, data: "xarray.Dataset", metric: str, *, void: bool
 ) -> "Figure":
     """What moves a metric most, as lines and as a picture."""
+    from twin.sweep.dataset import WITHOUT_NUMBER
     from twin.sweep.sensitivity import incomplete_sample, sensitivities, values_without_number
     from twin.sweep.show import plot_sensitivities
 
     shares = sensitivities(data, metric, void=void)
     for value in values_without_number(data, metric, void=void):
-        say.line(f"note: shares without {value}: all its points are void, failed or infinite")
+        say.line(f"note: shares without {value}: all its points are {WITHOUT_NUMBER}")
     ordered = sorted(shares.items(), key=lambda item: -item[1].first)
     for name, share in ordered:
         say.verdict(f"variance of {metric}, {share}: {name}")
@@ -314,8 +315,7 @@ def _save_design(
     if point is None:
         best = best_point(data, metric, void=void)
         point = best.point
-        near = f"; {best.n_as_good} more within the model's errors" if best.n_as_good else ""
-        say.verdict(f"best {metric}: point {point}{near} ({data[metric].attrs['long_name']})")
+        say.verdict(f"best {metric}: {best} ({data[metric].attrs['long_name']})")
     check_point(data, point)
     if is_coarse(data, point):
         say.warn(f"point {point}: was computed to a coarse tolerance alone; see its errors")

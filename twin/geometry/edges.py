@@ -5,10 +5,11 @@ the mesh's size, and `graph.face_adjacency`, which takes twenty times as long.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hardware.read_only import cached_read_only
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,14 +47,14 @@ class EdgeTable:
         start = self.first[self.count == 2]
         return np.stack([self.half_edges[start], self.half_edges[start + 1]], axis=1) // 3
 
-    @cached_property
+    @cached_read_only
     def ends(self) -> Indices:
         """Vertices at the ends of each edge, the lower one first, (e, 2)."""
         face, corner = np.divmod(self.half_edges[self.first], 3)
         ends = np.stack([self.faces[face, corner], self.faces[face, (corner + 1) % 3]], axis=1)
         return np.sort(ends, axis=1).astype(np.int64)
 
-    @cached_property
+    @cached_read_only
     def edge_of_face(self) -> Indices:
         """Edges of each face, (m, 3)."""
         edge = np.empty(len(self.half_edges), dtype=np.int64)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.described import Described
+from hardware.read_only import cached_read_only
 from twin.errors import InputError
 from twin.geometry.edges import EdgeTable, edge_table, welded
 from twin.geometry.faces import areas, normals
@@ -107,17 +108,17 @@ class Geometry(Described):
         corners: Array = self.vertices_m[self.faces]
         return corners
 
-    @cached_property
+    @cached_read_only
     def normals(self) -> Array:
         """Unit normals of the faces by the sense of their corners, (m, 3); 0 without an area."""
         return normals(self.vertices_m, self.faces)
 
-    @cached_property
+    @cached_read_only
     def areas_m2(self) -> Array:
         """Of the faces, (m,)."""
         return areas(self.vertices_m, self.faces)
 
-    @cached_property
+    @cached_read_only
     def used_m(self) -> Array:
         """Vertices that a face refers to, (k, 3)."""
         is_used = np.zeros(len(self.vertices_m), dtype=bool)
@@ -125,24 +126,24 @@ class Geometry(Described):
         used: Array = self.vertices_m[is_used]
         return used
 
-    @cached_property
+    @cached_read_only
     def sphere(self) -> tuple[Array, float]:
         """A sphere around the faces: centre (3,) and radius."""
         center = (self.used_m.min(axis=0) + self.used_m.max(axis=0)) / 2
         return center, float(np.linalg.norm(self.used_m - center, axis=1).max())
 
-    @cached_property
+    @cached_read_only
     def shape(self) -> Shape:
         """Flat patches, planes, hull, sense of the normals and more; see `Shape`."""
         return shapes_of([self])[0]
 
-    @cached_property
+    @cached_read_only
     def welded_faces(self) -> Faces:
         """Faces (m, 3) with one vertex for all that stand at the same place."""
         middle = self.used_m.mean(axis=0)
         return welded(self.vertices_m - middle, self.faces, np.array([0, len(self.vertices_m)]))
 
-    @cached_property
+    @cached_read_only
     def edges(self) -> EdgeTable:
         """Edges of the welded faces that have an area."""
         faces = self.welded_faces

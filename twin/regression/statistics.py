@@ -18,10 +18,11 @@ Losses that are large but rare widen the scatter by as much as they move the mea
 shows them. So seeds are looked at one by one too. With d_i the loss less the median loss, and S
 the median of |d| over that of a standard normal variable, seed i fails where
 
-    d_i > tolerance + t(1 - 0.2 p/mn, 0.37 (n - 1)) S
+    min(d_i, l_i) > tolerance + t(1 - 0.2 p/mn, 0.37 (n - 1)) S
 
 which seeds of normal losses do with probability 0.2 p at most for all together (0.37 is the
-efficiency of S). What a count of such seeds tells depends on whether runs pair:
+efficiency of S). Its own loss l_i counts as d_i does, since a seed that gains less than the others
+is none that became worse. What a count of such seeds tells depends on whether runs pair:
 
 *Paired*: both runs had the same records, and the method gives the same figure of the same record
 each time. A seed that fails is then a fact about the method: one is enough, less the seeds that
@@ -272,17 +273,20 @@ def _failed(
     """
     n = len(before)
     if paired:
-        scattered = off = after - before - np.median(after - before)
+        loss = after - before
+        scattered = loss - np.median(loss)
+        # A gain of the others makes no seed worse, and a loss of the others none better.
+        worse, others = np.minimum(loss, scattered), -np.maximum(loss, scattered)
     else:
         usual = _usual(before, views, np.median)
-        scattered, off = before - usual, after - usual
+        scattered, worse, others = before - usual, after - usual, before - usual
     spread = np.median(np.abs(scattered)) / _NORMAL_MEDIAN
     limit = tolerance + _outlier(false_alarm / n, n) * spread
-    failed = np.flatnonzero(off > limit)
-    others = int(np.count_nonzero((-off if paired else scattered) > limit))
-    if failed.size <= others:
+    failed = np.flatnonzero(worse > limit)
+    n_others = int(np.count_nonzero(others > limit))
+    if failed.size <= n_others:
         return (), 1.0
-    chance = (_mcnemar if paired else _boschloo)(failed.size, others, n)
+    chance = (_mcnemar if paired else _boschloo)(failed.size, n_others, n)
     return tuple(failed.tolist()) if paired or chance <= false_alarm else (), chance
 
 

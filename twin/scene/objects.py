@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from hardware.described import Described
+from hardware.read_only import cached_read_only, read_only
 from twin.files import InputError
 from twin.geometry import Geometry
 from twin.motion import Kinematics, Motion, Product, Still, Straight
@@ -60,13 +61,13 @@ class SceneObject(Described):
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
-    @cached_property
+    @cached_read_only
     def vertices_m(self) -> Array:
         """Of the geometry, in the world, (n, 3)."""
         in_place = np.array_equal(self.pose.as_matrix(), np.eye(4))
         return self.geometry.vertices_m if in_place else self._placed(slice(None))
 
-    @cached_property
+    @cached_read_only
     def box_m(self) -> Array:
         """Least and largest coordinates of what the faces use, in the world, (2, 3)."""
         corners = self._placed(self.geometry.shape.hull)
@@ -91,7 +92,7 @@ class SceneObject(Described):
         still = Still(self.pose)
         return Product((Straight(self.velocity_m_per_s), still)) if self.moves else still
 
-    @cached_property
+    @cached_read_only
     def state(self) -> Kinematics:
         """How it moves now."""
         return self.course.at(0.0)
@@ -107,7 +108,9 @@ class SceneObject(Described):
         found = replace(
             self, pose=state.pose, motion=motion, parent=parent, velocity_m_per_s=(x, y, z)
         )
-        vars(found)["state"] = state  # of a limb's chain of motions it takes milliseconds
+        vars(found)["state"] = read_only(
+            state
+        )  # of a limb's chain of motions it takes milliseconds
         return found
 
     def after(self, seconds: float) -> "SceneObject":

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hardware.formatting import number
+from hardware.read_only import cached_read_only
 from hardware.units import quantity
 from twin.files import InputError
 from twin.motion import Kinematics, Motion, Still
@@ -141,7 +142,7 @@ class Rig:
             return self.motion
         return Still(self.pose.transform)
 
-    @cached_property
+    @cached_read_only
     def state(self) -> Kinematics:
         """How it moves now."""
         return self.course.at(0.0)

@@ -43,11 +43,20 @@ _KINDS = tuple(_LOADERS)
 @dataclass(frozen=True)
 class Best:
     """The point of most (or, of what is better so, least) of a metric, and how many others are
-    within what the model may be off by.
+    within what the model may be off by; where that is not known of all points, how many are equal.
     """
 
     point: int
     n_as_good: int
+    errors_known: bool
+
+    def __str__(self) -> str:
+        """The point, and how many others are as good."""
+        if not self.errors_known:
+            equal = f", {self.n_as_good} more exactly equal" if self.n_as_good else ""
+            return f"point {self.point}; the model's errors are not known{equal}"
+        near = f"; {self.n_as_good} more within the model's errors" if self.n_as_good else ""
+        return f"point {self.point}{near}"
 
 
 @dataclass(frozen=True)
@@ -69,13 +78,17 @@ def best_point(data: "xarray.Dataset", metric: str, *, void: bool = False) -> Be
     """
     values = column(data, metric, void=void)
     gains = gain(values).to_numpy().ravel()
-    if not np.isfinite(gains).any():
+    known = np.isfinite(gains)
+    if not known.any():
         raise InputError(f"metric: {metric!r}: no point has a number of it that is not void")
     widths = half_width(data, metric, of_model=True)
     errors = np.zeros(len(gains)) if widths is None else widths.to_numpy().ravel()
-    point = int(np.nanargmax(np.where(np.isfinite(gains), gains, np.nan)))
-    as_good = gains + errors >= gains[point] - errors[point]
-    return Best(point, int(as_good.sum()) - 1)
+    errors_known = not np.isnan(errors[known]).any()
+    if not errors_known:  # as of a metric of one's own that gives a number alone
+        errors = np.zeros(len(gains))
+    point = int(np.nanargmax(np.where(known, gains, np.nan)))
+    as_good = known & (gains + errors >= gains[point] - errors[point])
+    return Best(point, int(as_good.sum()) - 1, errors_known)
 
 
 def check_point(data: "xarray.Dataset", point: int) -> None:

@@ -28,6 +28,9 @@ WARNED = "warned."
 #: Of a study with a front: points that were computed to a coarse tolerance alone.
 COARSE = "coarse"
 
+#: Why a point is left out of a picture or of shares, one or the other.
+WITHOUT_NUMBER = "void, failed, infinite or not a number"
+
 
 @dataclass
 class Progress:

@@ -66,31 +66,20 @@ def _try(study: Study, index: int, inputs: Inputs) -> None:
 def without_effect(data: "xarray.Dataset") -> Iterator[str]:
     """Parameters along whose dimension no metric changes, bit for bit, in any point, nor whether
     it is void.
+
+    None where that is not known: where a point has no number of a metric, or an infinite one, and
+    where points that differ in the parameter alone were computed to different tolerances.
     """
-    columns = [*metrics_of(data), *(name for name in VOID.values() if name in data)]
-    coarse = data.get(COARSE)
+    beside = (name for name in (COARSE, *VOID.values()) if name in data)
+    columns = [*metrics_of(data), *beside]
     for name in data.coords:
         (dimension,) = data[name].dims
-        if data.sizes[dimension] > 1 and not any(
-            _changes(data[column].astype(np.float64), dimension, coarse) for column in columns
+        if data.sizes[dimension] > 1 and all(
+            _is_constant(data[column].astype(np.float64), dimension) for column in columns
         ):
             yield str(name)
 
 
-def _changes(
-    values: "xarray.DataArray", dimension: Hashable, coarse: "xarray.DataArray | None"
-) -> bool:
-    """Of points to a coarse tolerance and others, which differ anyhow, each by themselves."""
+def _is_constant(values: "xarray.DataArray", dimension: Hashable) -> bool:
     along = np.moveaxis(values.to_numpy(), values.dims.index(dimension), 0)
-    if coarse is None:
-        same = (along == along[0]) | (np.isnan(along) & np.isnan(along[0]))
-        return not same.all()
-    flags = np.moveaxis(coarse.to_numpy(), coarse.dims.index(dimension), 0)
-    for own in (flags, ~flags):
-        low, high = (
-            pick(np.where(own & ~np.isnan(along), along, none), axis=0)
-            for pick, none in ((np.min, np.inf), (np.max, -np.inf))
-        )
-        if (low < high).any():
-            return True
-    return False
+    return bool(np.isfinite(along).all() and (along == along[0]).all())

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.settings import Processing
+from hardware.read_only import read_only
 from twin.camera.acquisition import Capture, capture, measure
 from twin.camera.moving_frame import world_in_motion
 from twin.errors import InputError
@@ -17,7 +18,7 @@ from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
 from twin.sweep.closed_form import closed_form
 from twin.sweep.inputs import ChangedError, Held, Inputs, inputs_of
-from twin.sweep.metrics import Outcome, metric, read_only
+from twin.sweep.metrics import Outcome, metric
 from twin.sweep.names import ERRORS, columns_of
 from twin.sweep.setup import Setup, setup
 from twin.sweep.shared_light import light_of, renders
@@ -60,6 +61,11 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
         for side, marked in chunk.void.items():
             whole.void.setdefault(side, []).extend(marked)
     return whole
+
+
+def in_one_line(error: BaseException) -> str:
+    """Kind and words of an error, of which a user's own may have several lines."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def failed(study: Study, index: int, why: str) -> Chunk:
@@ -110,7 +116,7 @@ def _rendered_points(study: Study, points: NDArray[np.intp], inputs: Inputs) -> 
         except ChangedError:
             raise
         except (Exception, SystemExit) as error:  # any user's function may fail in any way
-            chunk.errors[index] = f"{type(error).__name__}: {error}"
+            chunk.errors[index] = in_one_line(error)
             for values in chunk.values.values():
                 values[place] = np.nan
     chunk.renders = renders() - before
@@ -170,7 +176,7 @@ def _closed_form(study: Study, start: int, stop: int, inputs: Inputs) -> Chunk:
         raise
     except InputError as error:
         if stop - start == 1:
-            return failed(study, start, f"{type(error).__name__}: {error}")
+            return failed(study, start, in_one_line(error))
     # Some point can't be: halve until it stands alone.
     middle = (start + stop) // 2
     halves = ((start, middle), (middle, stop))

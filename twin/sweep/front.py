@@ -39,6 +39,8 @@ class FrontDesigns:
         Points with a number of both metrics.
     n_coarse
         Designs that were computed to a coarse tolerance alone: the study names another front.
+    n_equal
+        Points beside them that equal one of them in both metrics.
     """
 
     metrics: tuple[str, str]
@@ -47,6 +49,7 @@ class FrontDesigns:
     units: dict[str, str]
     n_points: int
     n_coarse: int = 0
+    n_equal: int = 0
 
     @property
     def verdict(self) -> str:
@@ -58,7 +61,8 @@ class FrontDesigns:
             coarse = (
                 f"; {self.n_coarse} of them were computed coarsely: name this front in the study"
             )
-        return f"{len(self.rows)} of {self.n_points} points are on the Pareto front{coarse}"
+        equal = f"; {self.n_equal} more equal one of them in both metrics" if self.n_equal else ""
+        return f"{len(self.rows)} of {self.n_points} points are on the Pareto front{coarse}{equal}"
 
     @property
     def title(self) -> str:
@@ -102,13 +106,16 @@ def designs_on_front(
     names = (first, second)
     columns = [column(data, name, void=void) for name in names]
     values = [each.to_numpy().ravel() for each in columns]
-    front = pareto_front(np.stack([gain(each).to_numpy().ravel() for each in columns]))
+    gains = np.stack([gain(each).to_numpy().ravel() for each in columns])
+    front = pareto_front(gains)
     front = front[np.argsort(values[0][front], kind="stable")]
+    known = np.isfinite(gains).all(axis=0)
+    as_one, on_front = (one + 1j * two for one, two in (gains[:, known], gains[:, front]))
+    n_equal = int(np.isin(as_one, on_front).sum()) - len(front)
     rows = _rows(data, names, front, void=void)
     units = {name: _unit(data[name]) for name in names}
-    n_points = int(np.isfinite(sum(values)).sum())
     n_coarse = int(data[COARSE].to_numpy().ravel()[front].sum()) if COARSE in data else 0
-    return FrontDesigns(names, _parameters(data), rows, units, n_points, n_coarse)
+    return FrontDesigns(names, _parameters(data), rows, units, int(known.sum()), n_coarse, n_equal)
 
 
 def all_points(data: "xarray.Dataset", *, void: bool = False) -> list[dict[str, Any]]:

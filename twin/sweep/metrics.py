@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
+from hardware.read_only import cached_read_only
 from hardware.reconstruction import Reconstruction, reconstruct
 from twin.accuracy import Interval, propagated
 from twin.camera.acquisition import Capture
@@ -27,12 +27,10 @@ from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
 
-T = TypeVar("T")
-
 
 class Outcome:
-    """One point's results, each computed when a metric first asks for it; arrays are read-only, as
-    `read_only` makes those of a capture that points share.
+    """One point's results, each computed when a metric first asks for it. Metrics share them with
+    each other and with other points: all arrays that they hold are read-only.
     """
 
     def __init__(
@@ -49,10 +47,10 @@ class Outcome:
         """The camera's record, with what the twin knows about it."""
         return self._capture()
 
-    @cached_property
+    @cached_read_only
     def reconstruction(self) -> Reconstruction:
         """The image, by the point's method."""
-        return read_only(reconstruct(self.capture.record, self.setup.method))
+        return reconstruct(self.capture.record, self.setup.method)
 
     @cached_property
     def score(self) -> Score:
@@ -63,21 +61,6 @@ class Outcome:
     def radar(self) -> RadarEvaluation:
         """Detections and what they should have been."""
         return self._radar()
-
-
-def read_only(value: T) -> T:
-    """The same; arrays in it, and in what it holds, can no longer be written to: metrics share them
-    with each other and with other points.
-    """
-    if isinstance(value, np.ndarray):
-        value.flags.writeable = False
-    elif is_dataclass(value):
-        for field in fields(value):
-            read_only(getattr(value, field.name))
-    elif isinstance(value, tuple | list):
-        for item in value:
-            read_only(item)
-    return value
 
 
 def _pixel_terms(

@@ -22,7 +22,7 @@ from twin.progress import interrupts, tell
 from twin.sweep.accuracy import with_accuracy
 from twin.sweep.dataset import labels, warned_points
 from twin.sweep.effects import check_points, without_effect
-from twin.sweep.evaluate import Chunk, evaluate_points, failed, joined
+from twin.sweep.evaluate import Chunk, evaluate_points, failed, in_one_line, joined
 from twin.sweep.inputs import Inputs, inputs_of
 from twin.sweep.names import is_own
 from twin.sweep.refinement import coarse_study
@@ -249,7 +249,7 @@ def _result(submit: Submit, study: Study, inputs: Inputs, points: Points, handle
         found: Chunk = submit.result(handle)
     except WorkerDiedError as error:
         if len(points) == 1:
-            return failed(study, int(points[0]), f"{type(error).__name__}: {error}")
+            return failed(study, int(points[0]), in_one_line(error))
         one_each = np.split(points, len(points))
         each = [(one, submit(evaluate_points, study, one, inputs)) for one in one_each]
         return joined([_result(submit, study, inputs, *alone) for alone in each])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hardware.formatting import setting_text, with_error
 from twin.files import InputError
-from twin.sweep.dataset import column
+from twin.sweep.dataset import WITHOUT_NUMBER, column
 
 if TYPE_CHECKING:
     import xarray
@@ -153,7 +153,7 @@ def _gaps(values: "xarray.DataArray") -> str:
     lacks = ~_known(values)
     if not lacks.any():
         return ""
-    told = f": {int(lacks.sum())} of {lacks.size} points are void, failed or infinite"
+    told = f": {int(lacks.sum())} of {lacks.size} points are {WITHOUT_NUMBER}"
     shares = [
         (_along(lacks, name)[i].mean(), _level(values, name, i))
         for name in _grid_of(values)
@@ -213,7 +213,7 @@ def incomplete_sample(data: "xarray.Dataset", metric: str, *, void: bool = False
     told = f"approximate: {np.sum(~whole)} of {whole.size} {blocks}"
     if are_whole(True).all():
         return f"{told} void; --void keeps them"
-    return f"{told} failed or infinite" + ("" if void else ", or void")
+    return f"{told} failed, infinite or not a number" + ("" if void else ", or void")
 
 
 def _independent(table: Array, design: _Design) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from twin.files import InputError
 from twin.report.style import BLUE, GREY, ORANGE, new_figure
-from twin.sweep.dataset import column, gain, half_width
+from twin.sweep.dataset import WITHOUT_NUMBER, column, gain, half_width
 from twin.sweep.names import check_two
 from twin.sweep.sensitivity import Share, incomplete_sample
 
@@ -126,7 +126,7 @@ def plot_sensitivities(
 def _left_out(data: "xarray.Dataset", values: "xarray.DataArray") -> str:
     """How many points have no number, or none that counts: a second line of a title."""
     n = int((~np.isfinite(values.to_numpy())).sum())
-    return f"\n{n} of {values.size} points left out: void, failed or infinite" if n else ""
+    return f"\n{n} of {values.size} points left out: {WITHOUT_NUMBER}" if n else ""
 
 
 def pareto_front(gains: Array) -> NDArray[np.intp]:

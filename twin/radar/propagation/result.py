@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hardware.described import Described
+from hardware.read_only import cached_read_only
 from hardware.waveform import C_M_PER_S
 from twin.accuracy import Decision
 from twin.radar.propagation.facets.convergence import BodyEcho
@@ -103,12 +104,12 @@ class Propagation(Described):
         rows = zip(self.names, *columns, strict=True)
         return tuple(Path(name.via, name.target, *values) for name, *values in rows)
 
-    @cached_property
+    @cached_read_only
     def echoes(self) -> Contributions:
         """All but the paths: of surfaces, of tables, of edges and of rough surfaces."""
         return self.contributions.take(slice(len(self.names), None))
 
-    @cached_property
+    @cached_read_only
     def surfaces(self) -> Contributions:
         """Of these, what no carrier step changes in proportion to the wavelength."""
         return self.echoes.take(np.flatnonzero(self.echoes.wavelength_power == 0))
