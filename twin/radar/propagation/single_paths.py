@@ -90,8 +90,12 @@ def _pass_corners(prepared: PreparedScene, factor: NDArray[np.complex128]) -> No
     if not len(rows):
         return
     beside = np.array([found.beside for found in passed.values()])
-    clear = paths_to_points(prepared.context, rows + 1, beside, np.zeros_like(beside)).clear
+    images = np.array([prepared.images[row + 1].place for row in rows])
+    aside = _ASIDE * np.cross(beside - images, _OBLIQUE)
+    places = np.concatenate([beside + aside, beside - aside])
+    paths = paths_to_points(prepared.context, np.tile(rows + 1, 2), places, np.zeros_like(places))
     let = np.array([found.factor for found in passed.values()])
+    clear = paths.clear.reshape(2, -1).mean(axis=0)
     factor[rows] = np.where(np.abs(let) >= FAINTEST, let, 0) * clear
 
 

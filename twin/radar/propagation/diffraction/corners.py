@@ -19,6 +19,7 @@ from twin.radar.propagation.diffraction.around_edges import unsure_m
 from twin.radar.propagation.diffraction.mirrors import border
 from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.rows import lengths
 from twin.radar.propagation.scene.images import Image
 
 Array = NDArray[np.float64]
@@ -92,14 +93,15 @@ def _are_apart(
 
 
 def _beside(waves: DiffractedPaths, image: Image) -> Array:
-    """So far aside of the radar that the way to the image passes the edge that it is farthest
-    behind.
+    """So far aside of the radar that the way to the image passes all edges on their lit sides;
+    those that it is farthest behind are taken first.
     """
     here, place = image.places[0], waves.stops[:, 0]
     behind = unsure_m(place) - waves.lit_m
-    worst = int(behind.argmax())
-    if not behind[worst] > 0:
-        return here
-    into_light = waves.aside[worst, 0] / np.linalg.norm(waves.aside[worst, 0])
-    whole, so_far = (np.linalg.norm(end - image.place) for end in (here, place[worst]))
-    return np.asarray(here + 2 * behind[worst] * whole / so_far * into_light)
+    into_light = waves.aside[:, 0] / lengths(waves.aside[:, 0])[:, None]
+    whole, so_far = np.linalg.norm(here - image.place), lengths(place - image.place)
+    moved = np.zeros(3)
+    for row in np.argsort(-behind)[: np.count_nonzero(behind > 0)]:
+        missing = 2 * behind[row] * whole / so_far[row] - moved @ into_light[row]
+        moved += max(missing, 0.0) * into_light[row]
+    return np.asarray(here + moved)
