@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
-from twin.radar.propagation.diffraction.corners import FAINTEST
+from twin.radar.propagation.diffraction.corners import longest_m
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens, screens
 from twin.radar.propagation.effects_by_bounds import (
@@ -267,7 +267,7 @@ def _mirrors(
         return *_paths(further, radar, mirror_echoes(further)[0], [None], [()]), ()
     faintest = followed_everywhere(fidelity)
     wavenumber = 2 * np.pi / prepared.wavelength_m
-    longer_m = [farthest(amplitude) / wavenumber for amplitude in (faintest, FAINTEST)]
+    longer_m = farthest(faintest) / wavenumber, longest_m(prepared.wavelength_m)
     further = _heard_mirrors(prepared.seen_by_itself(*longer_m), radar)
     obstacles = _before_mirrors(scene, radar, roles, fidelity)
     traced, off = mirror_echoes(further, obstacles, faintest)

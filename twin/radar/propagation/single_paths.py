@@ -13,7 +13,7 @@ from scipy.constants import speed_of_light
 
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, unsure_m
 from twin.radar.propagation.diffraction.blocking import first_between
-from twin.radar.propagation.diffraction.corners import FAINTEST, past_borders
+from twin.radar.propagation.diffraction.corners import past_borders
 from twin.radar.propagation.diffraction.mirrors import (
     BEFORE_MIRROR,
     border_waves,
@@ -56,10 +56,12 @@ def mirror_echoes(
     echoes, share = _whole_mirrors(prepared.context)
     parts, factor = [], share.astype(np.complex128)
     off: dict[str, float] = {}
-    if faintest > 0:
-        _pass_corners(prepared, factor)
     for row, image in enumerate(prepared.images[1:] if faintest > 0 else ()):
-        if len(image.patches) > 1:
+        if len(image.patches) > 2:
+            continue
+        if len(image.patches) == 2:
+            by_borders = past_borders(prepared, image)
+            factor[row] = factor[row] if by_borders is None else by_borders
             continue
         border = border_waves(prepared, image, faintest)
         factor[row] = _lit(border, factor[row])
@@ -77,26 +79,6 @@ def mirror_echoes(
     whole = echoes.take(some)
     whole = replace(whole, amplitude=whole.amplitude * factor[some])
     return Contributions.concatenate([whole, *parts]), off
-
-
-def _pass_corners(prepared: PreparedScene, factor: NDArray[np.complex128]) -> None:
-    """Of echoes by two mirrors, what their borders let pass, if nothing else is in their way."""
-    passed = {
-        row: found
-        for row, image in enumerate(prepared.images[1:])
-        if len(image.patches) == 2 and (found := past_borders(prepared, image))
-    }
-    rows = np.fromiter(passed, dtype=np.intp)
-    if not len(rows):
-        return
-    beside = np.array([found.beside for found in passed.values()])
-    images = np.array([prepared.images[row + 1].place for row in rows])
-    aside = _ASIDE * np.cross(beside - images, _OBLIQUE)
-    places = np.concatenate([beside + aside, beside - aside])
-    paths = paths_to_points(prepared.context, np.tile(rows + 1, 2), places, np.zeros_like(places))
-    let = np.array([found.factor for found in passed.values()])
-    clear = paths.clear.reshape(2, -1).mean(axis=0)
-    factor[rows] = np.where(np.abs(let) >= FAINTEST, let, 0) * clear
 
 
 def _lit(border: DiffractedPaths, share: complex) -> complex:

@@ -1,107 +1,181 @@
 """What the borders of two mirrors let pass of the radar's own echo by both, as in a corner.
 
 Seen from the radar its image is straight ahead, and each mirror an opening on the way, the first
-one where the other shows it. The rim of an opening adds edge waves, by Kirchhoff's integral.
-Openings that end at one place, as two walls do that meet or nearly meet, are one: that which lets
-less pass counts, and the factors of others are multiplied.
+one where the other shows it. An edge near the way is a half plane that it may pass, unless the
+other mirror hides it. Of edges in one direction at about one place, as of two walls that meet or
+nearly meet, those count between which least is open: by Fresnel's integral from one to the other.
+Factors of other directions and places are multiplied, as those of a rectangular aperture are.
 
 Left out are how the factor changes over the band, and corners of meshes that pass through each
 other, where no edge is: there a path is whole or not at all.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.around_edges import unsure_m
-from twin.radar.propagation.diffraction.mirrors import border
-from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
+from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
+from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
+from twin.radar.propagation.diffraction.mirrors import BEFORE_MIRROR, border
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.rows import lengths
-from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.rows import dots, lengths
+from twin.radar.propagation.scene.images import Image, mirrored
 
 Array = NDArray[np.float64]
 
-#: Over an echo: the faintest edge wave that counts.
-FAINTEST = 0.1
-#: Of the first Fresnel zone's radius: openings whose rims are closer together end at one place.
-_TOGETHER = 0.5
+#: Radii of the first Fresnel zone to which edges count: their waves are 0.08 of the echo there.
+_REACH = 2.0
+#: Likewise, how far beside an edge rays are sent that tell whether it is seen.
+_BESIDE = 0.05
+_FAINTEST = 0.05  # over an echo: what is fainter is left out
+#: Of the whole way: edges that are less far from each other along it are at one place.
+_TOGETHER = 0.1
+_ALIKE = 0.98  # cosine between directions that are one
+_SHORT_M = 0.1  # ways between mirrors on which nothing stands
 
 
-class Passed(NamedTuple):
-    """What openings let pass of an echo, and a place ``beside`` the radar (3,) whose way to the
-    same image is clear of their borders.
+class _Edges(NamedTuple):
+    """Half planes that a way may pass, (n, ...): unit vectors into them across the way (n, 3),
+    where they begin along these, in radii of the Fresnel zone from the way, and how far from the
+    image.
     """
 
-    factor: complex
-    beside: Array
+    into: Array
+    begin: Array
+    depth_m: Array
 
 
-def past_borders(prepared: PreparedScene, image: Image) -> Passed | None:
-    """Of the echo of an image by two mirrors; None where no border is near."""
-    here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
-    openings = []
-    for number, foot, behind in _openings(prepared, image):
-        rim = border(prepared, number, image.place, behind)
-        waves = rim_paths(rim, image.place, here[None], wavenumber, FAINTEST)
-        if len(waves.point):
-            is_met = _is_met(waves, prepared.flats.covers(number, foot))
-            turn = np.exp(-1j * wavenumber * waves.longer_m)
-            factor = complex(is_met + (waves.amplitude * turn).sum())
-            openings.append((factor, waves))
-    if not openings:
+def longest_m(wavelength_m: float) -> float:
+    """By how much a way over the farthest edge that counts is longer."""
+    return _REACH**2 * wavelength_m / 2
+
+
+def past_borders(prepared: PreparedScene, image: Image) -> complex | None:
+    """What is there of the echo of an image by two mirrors; None where no border is near."""
+    first, last = (_edges(prepared, image, level) for level in (0, 1))
+    if first is None or last is None:
+        return 0.0
+    edges = _Edges(*(np.concatenate(rows) for rows in zip(first, last, strict=True)))
+    if not len(edges.begin):
         return None
-    openings.sort(key=lambda opening: abs(opening[0]))
-    counted: list[tuple[complex, DiffractedPaths]] = []
-    for factor, waves in openings:
-        if all(_are_apart(waves, other, image, wavenumber) for _, other in counted):
-            counted.append((factor, waves))
-    factors = np.prod([factor for factor, _ in counted])
-    return Passed(
-        complex(factors), _beside(DiffractedPaths.concatenate([w for _, w in counted]), image)
+    factor, aside = complex(1.0), np.zeros(3)
+    whole_m = float(np.linalg.norm(image.places[0] - image.place))
+    rest = np.arange(len(edges.begin))
+    while len(rest):
+        along = edges.into[rest] @ edges.into[rest[0]]
+        near = np.abs(edges.depth_m[rest] - edges.depth_m[rest[0]]) < _TOGETHER * whole_m
+        alike = near & (np.abs(along) > _ALIKE)
+        begin, is_same = edges.begin[rest], along > 0
+        low = begin[alike & is_same].max()
+        high = -begin[alike & ~is_same].max(initial=-np.inf)
+        if low >= high:
+            return 0.0
+        factor *= _open_beyond(low) - _open_beyond(high)
+        margin = min(_BESIDE, (high - low) / 2)
+        aside = aside + np.clip(0.0, low + margin, high - margin) * edges.into[rest[0]]
+        rest = rest[~alike]
+    if abs(factor) < _FAINTEST or not _is_reflected(prepared, image, aside):
+        return 0.0
+    return factor
+
+
+def _open_beyond(edge: float) -> complex:
+    """The share of a wave that passes beyond an edge, in radii of the first Fresnel zone."""
+    if np.isinf(edge):
+        return 0.0
+    phase = np.pi * edge**2
+    wave = complex(knife_edge_factor(np.array([max(phase, 1e-12)]))[0] * np.exp(-1j * phase))
+    return wave if edge > 0 else 1 - wave
+
+
+def _edges(prepared: PreparedScene, image: Image, level: int) -> _Edges | None:
+    """Of one mirror those that are near the way and seen; None where the way goes far past it."""
+    number = image.patches[level]
+    rim = border(prepared, number, image.place, image.patches[level + 1 :])
+    way = image.places[0] - image.place
+    whole_m = float(np.linalg.norm(way))
+    ahead = way / whole_m
+    depth, off = _split(rim.ends, ahead)
+    side = off[:, 1] - off[:, 0]
+    share = -dots(off[:, 0], side) / np.maximum(dots(side, side), 1e-300)
+    share = np.clip(share, 0.0, 1.0)
+    nearest, depth = off[:, 0] + share[:, None] * side, depth[:, 0] + share * np.diff(depth)[:, 0]
+    zone = _zone_m(prepared, depth, whole_m)
+    some = np.flatnonzero(lengths(nearest) < _REACH * zone)
+    if not len(some) and not prepared.flats.covers(number, _feet(prepared, image)[level][0]):
+        return None
+    nearest, depth, zone = nearest[some], depth[some], zone[some]
+    into = _split(rim.lit[some], ahead)[1]
+    into /= np.maximum(lengths(into), 1e-300)[:, None]
+    beside = image.place + depth[:, None] * ahead + nearest + _BESIDE * zone[:, None] * into
+    is_seen = _is_seen(prepared, image, _on_mirror(prepared, image, level, beside))
+    return _Edges(into[is_seen], (dots(nearest, into) / zone)[is_seen], depth[is_seen])
+
+
+def _split(vectors: Array, ahead: Array) -> tuple[Array, Array]:
+    """How far vectors (..., 3) go along a direction, and across it."""
+    along = vectors @ ahead
+    return along, vectors - along[..., None] * ahead
+
+
+def _zone_m(prepared: PreparedScene, depth_m: Array, whole_m: float) -> Array:
+    """Radius of the first Fresnel zone at depths along a way; 0 before and behind it."""
+    product = np.maximum(depth_m * (whole_m - depth_m), 0.0)
+    return np.asarray(np.sqrt(prepared.wavelength_m * product / whole_m))
+
+
+def _on_mirror(prepared: PreparedScene, image: Image, level: int, places: Array) -> Array:
+    """Where ways by places (n, 3) beside an opening, as the radar sees them, meet the mirror."""
+    flat, origin = prepared.flats[image.patches[level]], image.places[0]
+    if level == 0:  # seen in the other mirror, with the radar's first image as the origin
+        places, origin = mirrored(places, prepared.flats[image.patches[1]]), image.places[1]
+    ways = places - origin
+    share = ((flat.point - origin) @ flat.normal) / (ways @ flat.normal)
+    return np.asarray(origin + share[:, None] * ways)
+
+
+def _is_seen(prepared: PreparedScene, image: Image, places: Array) -> NDArray[np.bool_]:
+    """Whether the radar sees places (n, 3) on mirrors."""
+    here = image.places[0]
+    end = here + BEFORE_MIRROR * (places - here)
+    seen: NDArray[np.bool_] = (
+        first_between(prepared, np.broadcast_to(here, end.shape), end) == NOTHING
     )
+    return seen
 
 
-def _openings(prepared: PreparedScene, image: Image) -> Iterator[tuple[int, Array, list[int]]]:
-    """Of each mirror, the nearest on the way back from the radar first: its number, where its plane
-    is met, and the mirrors in which the radar sees it, the last one the nearest.
+def _is_reflected(prepared: PreparedScene, image: Image, aside: Array) -> bool:
+    """Whether a way so far aside of the straight one, in radii of the Fresnel zone, goes over both
+    mirrors, which face each other and the radar, and nothing stands before it.
     """
-    flats, at = prepared.flats, image.places[0]
-    for level in range(len(image.patches), 0, -1):
-        number, towards = image.patches[level - 1], image.places[level] - at
-        flat = flats[number]
-        at = at + (flat.point - at) @ flat.normal / (towards @ flat.normal) * towards
-        yield number, at, list(image.patches[level:])
+    here, through = image.places[0], []
+    whole_m = float(np.linalg.norm(here - image.place))
+    for level, (_, back_m) in enumerate(_feet(prepared, image)):
+        depth = np.array([whole_m - back_m])
+        place = image.place + depth[:, None] / whole_m * (here - image.place)
+        place = place + _zone_m(prepared, depth, whole_m)[:, None] * aside
+        through.append(_on_mirror(prepared, image, level, place)[0])
+    flats = [prepared.flats[patch] for patch in image.patches]
+    for flat, other in zip(flats, through[::-1], strict=True):
+        if ((here - flat.point) @ flat.normal) * ((other - flat.point) @ flat.normal) < 0:
+            return False
+    first, last = through
+    ends = np.stack([here, here, first]), np.stack([first, last, last])
+    some = lengths(ends[1] - ends[0]) > _SHORT_M
+    begin, way = ends[0][some], (ends[1] - ends[0])[some]
+    met = first_between(prepared, begin + (1 - BEFORE_MIRROR) * way, begin + BEFORE_MIRROR * way)
+    return bool((met == NOTHING).all())
 
 
-def _is_met(waves: DiffractedPaths, is_inside: bool) -> bool:
-    """Whether the straight way passes an opening: next to an edge, if it is on its lit side."""
-    close = np.abs(waves.lit_m) <= unsure_m(waves.stops[:, 0])
-    return bool((waves.lit_m[close] > 0).all()) if close.any() else is_inside
-
-
-def _are_apart(
-    waves: DiffractedPaths, others: DiffractedPaths, image: Image, wavenumber: float
-) -> bool:
-    """Whether the nearest edges of two openings are at different places on the way."""
-    place, other = (w.stops[w.longer_m.argmin(), 0] for w in (waves, others))
-    ways = [float(np.linalg.norm(place - end)) for end in (image.place, image.places[0])]
-    zone_m = np.sqrt(2 * np.pi / wavenumber * ways[0] * ways[1] / sum(ways))
-    return bool(np.linalg.norm(place - other) > _TOGETHER * zone_m)
-
-
-def _beside(waves: DiffractedPaths, image: Image) -> Array:
-    """So far aside of the radar that the way to the image passes all edges on their lit sides;
-    those that it is farthest behind are taken first.
+def _feet(prepared: PreparedScene, image: Image) -> list[tuple[Array, float]]:
+    """Where the straight way meets each mirror's plane, and how far back from the radar; the first
+    mirror first.
     """
-    here, place = image.places[0], waves.stops[:, 0]
-    behind = unsure_m(place) - waves.lit_m
-    into_light = waves.aside[:, 0] / lengths(waves.aside[:, 0])[:, None]
-    whole, so_far = np.linalg.norm(here - image.place), lengths(place - image.place)
-    moved = np.zeros(3)
-    for row in np.argsort(-behind)[: np.count_nonzero(behind > 0)]:
-        missing = 2 * behind[row] * whole / so_far[row] - moved @ into_light[row]
-        moved += max(missing, 0.0) * into_light[row]
-    return np.asarray(here + moved)
+    at, back_m, found = image.places[0], 0.0, []
+    for level in (1, 0):
+        flat, towards = prepared.flats[image.patches[level]], image.places[level + 1] - at
+        share = float((flat.point - at) @ flat.normal / (towards @ flat.normal))
+        at, back_m = at + share * towards, back_m + share * float(np.linalg.norm(towards))
+        found.append((at, back_m))
+    return found[::-1]

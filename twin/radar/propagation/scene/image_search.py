@@ -26,6 +26,7 @@ _RAYS_AT_ONCE = 2**18  # some 100 MB
 MANY_IMAGES = 40
 #: Images from which on, likewise, none of more than three reflections are looked for.
 FURTHER = 128
+_GRAZING = 0.1  # least cosine of incidence by which a mirror's border is looked for farther on
 _ASIDE = 1e-3  # of the path's length: how far beside a mirror the return path may pass
 
 
@@ -192,7 +193,7 @@ def _places(
     passes &= whole > 0
     zone = np.sqrt(more_m * (2 * whole + more_m)) / 2
     # Past a corner planes are met the other way round.
-    slack = np.maximum(_ASIDE, 4 * zone / np.maximum(whole, 1e-300))
+    slack = np.maximum(_ASIDE, 4 * zone / _GRAZING / np.maximum(whole, 1e-300))
     for level in range(sequences.shape[1], 0, -1):
         number, towards = sequences[:, level - 1], places[level] - at
         normal, point = flats.normal[number], flats.point[number]
@@ -201,7 +202,9 @@ def _places(
             t = np.sum((point - at) * normal, axis=1) / slope
         passes &= (t > -slack) & (t < 1 + slack)
         at = at + np.where(passes, t, 0.0)[:, None] * towards
-        margin = np.maximum(_ASIDE * whole, zone)[:, None]
+        # Along a mirror that is met obliquely a zone is longer.
+        cosine = np.abs(slope) / np.maximum(np.linalg.norm(towards, axis=1), 1e-300)
+        margin = np.maximum(_ASIDE * whole, zone / np.maximum(cosine, _GRAZING))[:, None]
         box = flats.box[number]
         passes &= ((at >= box[:, 0] - margin) & (at <= box[:, 1] + margin)).all(axis=1)
     return np.stack(places, axis=1), passes
