@@ -75,7 +75,7 @@ def past_borders(prepared: PreparedScene, image: Image) -> complex | None:
         margin = min(_BESIDE, (high - low) / 2)
         aside = aside + np.clip(0.0, low + margin, high - margin) * edges.into[rest[0]]
         rest = rest[~alike]
-    if abs(factor) < _FAINTEST or not _is_reflected(prepared, image, aside):
+    if abs(factor) < _FAINTEST or not _is_reflected(prepared, image, (first, last), aside):
         return 0.0
     return factor
 
@@ -145,14 +145,21 @@ def _is_seen(prepared: PreparedScene, image: Image, places: Array) -> NDArray[np
     return seen
 
 
-def _is_reflected(prepared: PreparedScene, image: Image, aside: Array) -> bool:
+def _is_reflected(
+    prepared: PreparedScene, image: Image, edges: tuple[_Edges, _Edges], aside: Array
+) -> bool:
     """Whether a way so far aside of the straight one, in radii of the Fresnel zone, goes over both
-    mirrors, which face each other and the radar, and nothing stands before it.
+    mirrors, which face each other and the radar, and nothing stands before it. It is as far aside
+    where the edge is that a mirror shades most by, and at the foot of a mirror without edges.
     """
     here, through = image.places[0], []
     whole_m = float(np.linalg.norm(here - image.place))
-    for level, (_, back_m) in enumerate(_feet(prepared, image)):
+    for level, (of_mirror, (_, back_m)) in enumerate(
+        zip(edges, _feet(prepared, image), strict=True)
+    ):
         depth = np.array([whole_m - back_m])
+        if len(of_mirror.begin):
+            depth = of_mirror.depth_m[[of_mirror.begin.argmax()]]
         place = image.place + depth[:, None] / whole_m * (here - image.place)
         place = place + _zone_m(prepared, depth, whole_m)[:, None] * aside
         through.append(_on_mirror(prepared, image, level, place)[0])
