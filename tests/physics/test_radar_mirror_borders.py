@@ -113,6 +113,44 @@ def test_a_corner_with_a_slit_echoes(sides: tuple[int, int], gap_m: float, passe
     )
 
 
+@pytest.mark.parametrize("angle_deg", [89.8, 90.0, 90.2])
+@pytest.mark.parametrize("past_m", [(-0.2, -0.2), (-0.1, 0.0), (0.0, -0.003)])
+def test_a_corner_whose_walls_go_on_behind_each_other(
+    angle_deg: float, past_m: tuple[float, float]
+) -> None:
+    """Is one whose walls end there: it had been none, or half, or of waves from hidden edges."""
+    crossed = seen_in_both(*corner(angle_deg, past_m))
+    assert crossed == pytest.approx(seen_in_both(*corner(angle_deg)), abs=1e-3)
+
+
+@pytest.mark.parametrize("border_m", [0.1, 0.01, 0.0, -0.01, -0.1])
+@pytest.mark.parametrize("sides", [(1, -1), (1,)])
+def test_a_corner_that_ends_near_the_radars_height(sides: tuple[int, ...], border_m: float) -> None:
+    """Above it, or beside it: by the knife edge of its lower border, on one wall or on both. With
+    the border above the radar there was no echo.
+    """
+    walls = []
+    for side, sheet in zip((1, -1), corner(90.0), strict=True):
+        points = np.array(sheet.vertices_m)
+        if side in sides:
+            points[points[:, 2] < 0, 2] = border_m
+        walls.append(quad(sheet.name, points))
+    opening = half_plane(np.array(border_m / np.sqrt(WAVELENGTH_M * AWAY_M / 4)))
+    assert abs(seen_in_both(*walls)) == pytest.approx(abs(complex(opening)), abs=0.01)
+
+
+@pytest.mark.parametrize("seam_m", [-0.05, 0.0, 0.003, 0.06])
+def test_a_seam_changes_no_corner(seam_m: float) -> None:
+    """Of two panels one above the other, in both walls. It had been 0 to 1.16 of the echo."""
+    panels = []
+    for sheet in corner(90.0):
+        for name, keeps in (("lo", -1), ("hi", 1)):
+            points = np.array(sheet.vertices_m)
+            points[keeps * points[:, 2] < 0, 2] = seam_m
+            panels.append(quad(sheet.name + name, points))
+    assert seen_in_both(*panels) == pytest.approx(1.0, abs=1e-3)
+
+
 def test_a_right_corner_of_three_walls_echoes_once() -> None:
     """Its image stands behind the corner's point, on the borders of all orders of its walls."""
     ahead = quad("ahead", [[8, -3, -1], [8, 2, -1], [8, 2, 4], [8, -3, 4]])

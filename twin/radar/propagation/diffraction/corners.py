@@ -1,13 +1,13 @@
 """What the borders of two mirrors let pass of the radar's own echo by both, as in a corner.
 
 Seen from the radar its image is straight ahead, and each mirror an opening on the way, the first
-one where the other shows it. An edge near the way is a half plane that it may pass, unless the
-other mirror hides it. Of edges in one direction at about one place, as of two walls that meet or
-nearly meet, those count between which least is open: by Fresnel's integral from one to the other.
-Factors of other directions and places are multiplied, as those of a rectangular aperture are.
+one where the other shows it. An edge near the way is a half plane that it may pass, and so is the
+line in which the planes of both meet, where either hides what goes on behind it. Of edges in one
+direction at about one place, as of two walls that meet or nearly meet, those count between which
+least is open: by Fresnel's integral from one to the other. Factors of other directions and places
+are multiplied, as those of a rectangular aperture are.
 
-Left out are how the factor changes over the band, and corners of meshes that pass through each
-other, where no edge is: there a path is whole or not at all.
+Left out is how the factor changes over the band.
 """
 
 from typing import NamedTuple
@@ -26,12 +26,13 @@ Array = NDArray[np.float64]
 
 #: Radii of the first Fresnel zone to which edges count: their waves are 0.08 of the echo there.
 _REACH = 2.0
-#: Likewise, how far beside an edge rays are sent that tell whether it is seen.
+#: Likewise, how far beside an edge it is tried whether a way goes over both mirrors.
 _BESIDE = 0.05
 _FAINTEST = 0.05  # over an echo: what is fainter is left out
 #: Of the whole way: edges that are less far from each other along it are at one place.
 _TOGETHER = 0.1
 _ALIKE = 0.98  # cosine between directions that are one
+_PARALLEL = 1e-3  # sine of an angle: planes, and a line and a way, that do not meet
 _SHORT_M = 0.1  # ways between mirrors on which nothing stands
 
 
@@ -56,7 +57,8 @@ def past_borders(prepared: PreparedScene, image: Image) -> complex | None:
     first, last = (_edges(prepared, image, level) for level in (0, 1))
     if first is None or last is None:
         return 0.0
-    edges = _Edges(*(np.concatenate(rows) for rows in zip(first, last, strict=True)))
+    corner = _corner(prepared, image)
+    edges = _Edges(*(np.concatenate(rows) for rows in zip(first, last, corner, strict=True)))
     if not len(edges.begin):
         return None
     factor, aside = complex(1.0), np.zeros(3)
@@ -90,7 +92,7 @@ def _open_beyond(edge: float) -> complex:
 
 
 def _edges(prepared: PreparedScene, image: Image, level: int) -> _Edges | None:
-    """Of one mirror those that are near the way and seen; None where the way goes far past it."""
+    """Of one mirror those that are near the way; None where the way goes far past it."""
     number = image.patches[level]
     rim = border(prepared, number, image.place, image.patches[level + 1 :])
     way = image.places[0] - image.place
@@ -105,12 +107,41 @@ def _edges(prepared: PreparedScene, image: Image, level: int) -> _Edges | None:
     some = np.flatnonzero(lengths(nearest) < _REACH * zone)
     if not len(some) and not prepared.flats.covers(number, _feet(prepared, image)[level][0]):
         return None
-    nearest, depth, zone = nearest[some], depth[some], zone[some]
     into = _split(rim.lit[some], ahead)[1]
     into /= np.maximum(lengths(into), 1e-300)[:, None]
-    beside = image.place + depth[:, None] * ahead + nearest + _BESIDE * zone[:, None] * into
-    is_seen = _is_seen(prepared, image, _on_mirror(prepared, image, level, beside))
-    return _Edges(into[is_seen], (dots(nearest, into) / zone)[is_seen], depth[is_seen])
+    return _Edges(into, dots(nearest[some], into) / zone[some], depth[some])
+
+
+def _corner(prepared: PreparedScene, image: Image) -> _Edges:
+    """The line in which the planes of both mirrors meet, if it is near the way."""
+    nothing = _Edges(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    first, last = (prepared.flats[patch] for patch in image.patches)
+    along = np.cross(first.normal, last.normal)
+    if np.linalg.norm(along) < _PARALLEL:
+        return nothing
+    rows = np.stack([first.normal, last.normal, along])
+    heights = [first.point @ first.normal, last.point @ last.normal, image.place @ along]
+    place = np.linalg.solve(rows, heights) - image.place
+    way = image.places[0] - image.place
+    whole_m = float(np.linalg.norm(way))
+    ahead = way / whole_m
+    side = _split(along, ahead)[1]
+    square = float(side @ side)
+    if square < _PARALLEL**2:
+        return nothing
+    place = place - (_split(place, ahead)[1] @ side) / square * along
+    depth, off = _split(place[None], ahead)
+    zone = _zone_m(prepared, depth, whole_m)
+    if np.linalg.norm(off) >= _REACH * zone[0]:
+        return nothing
+    into = np.cross(ahead, side / np.sqrt(square))[None]
+    beside = image.place + depth[:, None] * ahead + off + _BESIDE * zone[:, None] * into
+    (on_last,) = _on_mirror(prepared, image, 1, beside)
+    before = ((image.places[0] - first.point) @ first.normal) * (
+        (on_last - first.point) @ first.normal
+    )
+    into = into if before > 0 else -into
+    return _Edges(into, dots(off, into) / zone, depth)
 
 
 def _split(vectors: Array, ahead: Array) -> tuple[Array, Array]:
@@ -133,16 +164,6 @@ def _on_mirror(prepared: PreparedScene, image: Image, level: int, places: Array)
     ways = places - origin
     share = ((flat.point - origin) @ flat.normal) / (ways @ flat.normal)
     return np.asarray(origin + share[:, None] * ways)
-
-
-def _is_seen(prepared: PreparedScene, image: Image, places: Array) -> NDArray[np.bool_]:
-    """Whether the radar sees places (n, 3) on mirrors."""
-    here = image.places[0]
-    end = here + BEFORE_MIRROR * (places - here)
-    seen: NDArray[np.bool_] = (
-        first_between(prepared, np.broadcast_to(here, end.shape), end) == NOTHING
-    )
-    return seen
 
 
 def _is_reflected(
