@@ -79,6 +79,12 @@ def corner(angle_deg: float, gaps_m: tuple[float, float] = (0.0, 0.0)) -> list:
     return sheets
 
 
+def whole_echo(*objects) -> complex:
+    """The sum of all contributions at the carrier."""
+    c = trace(world(*objects), RADAR).contributions
+    return complex(np.sum(c.amplitude * np.exp(-2j * np.pi * (79e9 * c.delay_s % 1))))
+
+
 def seen_in_both(*objects) -> complex:
     """The radar's echo by both sheets, over that of a closed right corner."""
     echoes = []
@@ -139,16 +145,92 @@ def test_a_corner_that_ends_near_the_radars_height(sides: tuple[int, ...], borde
     assert abs(seen_in_both(*walls)) == pytest.approx(abs(complex(opening)), abs=0.01)
 
 
-@pytest.mark.parametrize("seam_m", [-0.05, 0.0, 0.003, 0.06])
-def test_a_seam_changes_no_corner(seam_m: float) -> None:
-    """Of two panels one above the other, in both walls. It had been 0 to 1.16 of the echo."""
+def panelled(seam_m: float) -> list:
+    """A right corner each of whose walls is two panels, one above the other."""
     panels = []
     for sheet in corner(90.0):
         for name, keeps in (("lo", -1), ("hi", 1)):
             points = np.array(sheet.vertices_m)
             points[keeps * points[:, 2] < 0, 2] = seam_m
             panels.append(quad(sheet.name + name, points))
-    assert seen_in_both(*panels) == pytest.approx(1.0, abs=1e-3)
+    return panels
+
+
+@pytest.mark.parametrize("seam_m", [-0.05, 0.0, 0.003, 0.06])
+def test_a_seam_changes_no_corner(seam_m: float) -> None:
+    """Of two panels one above the other, in both walls. It had been 0 to 1.16 of the echo."""
+    assert seen_in_both(*panelled(seam_m)) == pytest.approx(1.0, abs=1e-3)
+
+
+def passed(*borders_m: float) -> float:
+    """The share of the echo from one border to the other, by Fresnel's integrals."""
+    shares = half_plane(np.array(borders_m) / np.sqrt(WAVELENGTH_M * AWAY_M / 4))
+    return float(abs(shares[0] - shares[1:].sum()))
+
+
+def limited(low_m: float, high_m: float) -> list:
+    """A right corner with one wall from a height on and the other up to a height."""
+    walls = []
+    for sheet, (below, above) in zip(corner(90.0), ((low_m, 2.0), (-2.0, high_m)), strict=True):
+        points = [[x, y, above if z > 0 else below] for x, y, z in sheet.vertices_m]
+        walls.append(quad(sheet.name, points))
+    return walls
+
+
+@pytest.mark.parametrize(
+    ("low_m", "high_m"), [(-0.05, 0.005), (-0.01, 0.04), (0.02, 0.04), (0.02, 0.005)]
+)
+def test_walls_at_different_heights_echo_by_what_they_share(low_m: float, high_m: float) -> None:
+    """0.11 to 0.4 of the corner's echo; nothing where one ends below the other's beginning."""
+    expected = passed(low_m, high_m) if low_m < high_m else 0.0
+    assert abs(seen_in_both(*limited(low_m, high_m))) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("turn_deg", [-25.0, 15.0])
+@pytest.mark.parametrize("border_m", [0.02, -0.04])
+def test_a_corner_seen_beside_its_bisector(turn_deg: float, border_m: float) -> None:
+    """One of its walls ends near the radar's height: its edge goes away from the radar, or back."""
+    turn = np.deg2rad(turn_deg)
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    walls = []
+    for sheet in limited(border_m, 2.0):
+        points = np.array(sheet.vertices_m)
+        points[:, :2] = (points[:, :2] - [AWAY_M, 0]) @ turned + [AWAY_M, 0]
+        walls.append(quad(sheet.name, points))
+    assert abs(seen_in_both(*walls)) == pytest.approx(passed(border_m), abs=1e-3)
+
+
+def test_walls_that_end_far_beside_the_way_are_no_corner() -> None:
+    assert seen_in_both(*corner(90.0, (0.6, 0.6))) == 0
+
+
+@pytest.mark.parametrize("angle_deg", [89.9, 90.0, 90.1])
+def test_a_corner_seen_from_outside_has_no_echo(angle_deg: float) -> None:
+    """The image behind it is that of a corner, and no way goes over both of its sides."""
+    walls = []
+    for sheet in corner(angle_deg):
+        points = np.array(sheet.vertices_m)
+        points[:, 0] = 2 * AWAY_M - points[:, 0]
+        walls.append(quad(sheet.name, points))
+    assert seen_in_both(*walls) == 0
+
+
+def test_a_seam_beyond_the_zone_changes_no_corner() -> None:
+    assert seen_in_both(*panelled(0.5)) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("length_m", [0.1, 0.2, 0.5, 0.9])
+def test_a_corner_with_a_short_wall(length_m: float) -> None:
+    """As an aperture from the corner's line to the wall's outer edge, in both orders: 0.98 to 1.22
+    of the whole corner's echo. As a mirror, or where too small for one, by its facets.
+    """
+    short, other = corner(90.0)
+    points = np.array(short.vertices_m)
+    inner = points[[0, 0, 3, 3]]
+    short = quad("short", inner + (points - inner) * length_m / 3)
+    expected = 2 * passed(0.0, length_m / np.sqrt(2))
+    total = whole_echo(short, other) / whole_echo(*corner(90.0))
+    assert abs(total) == pytest.approx(expected, abs=0.02)
 
 
 def test_a_right_corner_of_three_walls_echoes_once() -> None:
@@ -172,9 +254,7 @@ def test_a_label_takes_its_place_on_the_wall() -> None:
     of the wall's echo; both had been added, 2.3 times the wall's echo.
     """
     alone = echo(wall(4.0))
-    both = trace(world(wall(4.0), plate("label", (AWAY_M, 0, 0), 0.3)), RADAR)
-    c = both.contributions
-    total = np.sum(c.amplitude * np.exp(-2j * np.pi * (79e9 * c.delay_s % 1)))
+    total = whole_echo(wall(4.0), plate("label", (AWAY_M, 0, 0), 0.3))
     assert abs(total - alone) < 0.15 * abs(alone)
 
 
