@@ -200,15 +200,19 @@ def test_a_corner_seen_beside_its_bisector(turn_deg: float, border_m: float) -> 
     assert abs(seen_in_both(*walls)) == pytest.approx(passed(border_m), abs=1e-3)
 
 
-def test_walls_that_end_far_beside_the_way_are_no_corner() -> None:
-    assert seen_in_both(*corner(90.0, (0.6, 0.6))) == 0
+@pytest.mark.parametrize("gaps_m", [(0.6, 0.6), (0.0, 0.4)])
+def test_walls_that_end_far_beside_the_way_are_no_corner(gaps_m: tuple[float, float]) -> None:
+    assert seen_in_both(*corner(90.0, gaps_m)) == 0
 
 
-@pytest.mark.parametrize("angle_deg", [89.9, 90.0, 90.1])
-def test_a_corner_seen_from_outside_has_no_echo(angle_deg: float) -> None:
+@pytest.mark.parametrize("gaps_m", [(0.0, 0.0), (0.08, 0.2)])
+@pytest.mark.parametrize("angle_deg", [89.9, 90.1, 93.0])
+def test_a_corner_seen_from_outside_has_no_echo(
+    angle_deg: float, gaps_m: tuple[float, float]
+) -> None:
     """The image behind it is that of a corner, and no way goes over both of its sides."""
     walls = []
-    for sheet in corner(angle_deg):
+    for sheet in corner(angle_deg, gaps_m):
         points = np.array(sheet.vertices_m)
         points[:, 0] = 2 * AWAY_M - points[:, 0]
         walls.append(quad(sheet.name, points))
