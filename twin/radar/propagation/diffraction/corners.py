@@ -58,7 +58,7 @@ def past_borders(prepared: PreparedScene, image: Image) -> complex | None:
     if first is None or last is None:
         return 0.0
     corner = _corner(prepared, image)
-    edges = _Edges(*(np.concatenate(rows) for rows in zip(first, last, corner, strict=True)))
+    edges = _joined(first, last, corner)
     if not len(edges.begin):
         return None
     factor, aside = complex(1.0), np.zeros(3)
@@ -77,9 +77,14 @@ def past_borders(prepared: PreparedScene, image: Image) -> complex | None:
         margin = min(_BESIDE, (high - low) / 2)
         aside = aside + np.clip(0.0, low + margin, high - margin) * edges.into[rest[0]]
         rest = rest[~alike]
-    if abs(factor) < _FAINTEST or not _is_reflected(prepared, image, (first, last), aside):
+    shading = _joined(first, corner), _joined(last, corner)
+    if abs(factor) < _FAINTEST or not _is_reflected(prepared, image, shading, aside):
         return 0.0
     return factor
+
+
+def _joined(*edges: _Edges) -> _Edges:
+    return _Edges(*(np.concatenate(rows) for rows in zip(*edges, strict=True)))
 
 
 def _open_beyond(edge: float) -> complex:
@@ -171,7 +176,8 @@ def _is_reflected(
 ) -> bool:
     """Whether a way so far aside of the straight one, in radii of the Fresnel zone, goes over both
     mirrors, which face each other and the radar, and nothing stands before it. It is as far aside
-    where the edge is that a mirror shades most by, and at the foot of a mirror without edges.
+    where the edge is by which a mirror or the corner shades most, and at the foot of one without
+    edges.
     """
     here, through = image.places[0], []
     whole_m = float(np.linalg.norm(here - image.place))
