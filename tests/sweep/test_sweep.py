@@ -147,6 +147,16 @@ def test_results_do_not_depend_on_workers(study, tmp_path: Path) -> None:
     text += f"{[float(n) for n in range(1, 13)]}\n"
     run_sweep(study(text), out=tmp_path / "out", workers=2)
     assert_is_what_one_process_gives(open_sweep(tmp_path / "out"), study(text))
+    run_sweep(study(text), out=tmp_path / "one", workers=0)
+    many, one = (contents(tmp_path / name / "results.zarr") for name in ("out", "one"))
+    assert len(one) > 5
+    assert many == one
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Of all files, by their paths within."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 
 
 def test_a_failed_point_is_a_row_with_its_error(study, a_worker: str, tmp_path: Path) -> None:

@@ -152,7 +152,6 @@ def dataset(
         "points_done": progress.points_done,
         "points_failed": len(progress.errors),
         "points_void": len({i for points in progress.void.values() for i in points}),
-        "renders": progress.renders,
     }
     if COARSE in data:
         counts["points_coarse"] = progress.points_done - len(progress.refined)
