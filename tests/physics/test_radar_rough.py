@@ -23,12 +23,13 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar
 from twin.radar.acquisition import contributions
 from twin.radar.propagation.physical_optics import surface_clutter
-from twin.radar.propagation.prepared_scene import prepare_scene
+from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 from twin.radar.propagation.solvers import trace
 from twin.radar.propagation.surface_clutter import coherent
+from twin.radar.synthesis import Contributions
 from twin.scene import Pose, Rig, Scene, SceneObject
 
 K = 2 * np.pi / WAVELENGTH_M
@@ -203,6 +204,12 @@ def test_the_far_face_of_a_wall_lies_behind_it() -> None:
     assert 10 * np.log10(ratio / factor) == pytest.approx(0, abs=0.2)
 
 
+def clutter_of(scene: Scene, prepared: PreparedScene, name: str) -> Contributions:
+    """Of one object, without gains."""
+    parts, _ = surface_clutter(scene, prepared, {name}, Fidelity(radar="rough"))
+    return Contributions.concatenate(list(parts))
+
+
 @pytest.mark.parametrize("material", ["wood", "asphalt"])
 def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     """A rough wall, seen through or solid, and its image: no way from its points over itself."""
@@ -220,7 +227,7 @@ def test_a_mirror_does_not_show_its_own_face(material: str) -> None:
     }  # nothing else is heard over it
     prepared = prepared.with_images(prepared.all_images)
     assert ("panel",) in {prepared.via(n) for n in range(len(prepared.images))}
-    rays = surface_clutter(s, prepared, {"panel"}, Fidelity(radar="rough"))[0]
+    rays = clutter_of(s, prepared, "panel")
     assert len(rays.source) > 1000
     assert not rays.source.any()
     assert not rays.receiver.any()
@@ -235,7 +242,7 @@ def test_the_floor_behind_a_mirror() -> None:
     s = scene(floor(), mirror)
     roles = assign_scattering_models(s, WAVELENGTH_M, with_optics=True)
     prepared = prepare_scene(s, RADAR, roles, 1, rough={item.name for item in s.objects})
-    rays = surface_clutter(s, prepared, {"floor"}, Fidelity(radar="rough"))[0]
+    rays = clutter_of(s, prepared, "floor")
     (number,) = {int(n) for n in rays.source if n}
     n = 1000
     x = 8 + 12 * (np.arange(n) + 0.5) / n

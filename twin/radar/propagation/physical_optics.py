@@ -1,6 +1,6 @@
 """Echoes of a scene by physical optics: surfaces, their sharp edges, and rough ground."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -287,10 +287,10 @@ def _on_edges(prepared: PreparedScene, sharp: Sequence[Sharp], longer: float) ->
 
 def surface_clutter(
     scene: Scene, prepared: PreparedScene, rough: Collection[str], fidelity: Fidelity
-) -> tuple[Contributions, list[str]]:
-    """Contributions of the objects that count as ``rough``, by name, and which ones have no gamma
-    or one that is assumed. Where bounds decide, as in rooms, by two reflections on a way at most:
-    there are as many paths to each point as pairs of images.
+) -> tuple[Iterator[Contributions], list[str]]:
+    """Contributions of the objects that count as ``rough``, by name, part by part as they are asked
+    for, and which ones have no gamma or one that is assumed. Where bounds decide, as in rooms, by
+    two reflections on a way at most: there are as many paths to each point as pairs of images.
     """
     surfaces, remarks, motions = [], [], prepared.motions
     most = LEAST_IMAGES if fidelity.radar_images is None else fidelity.radar_images
@@ -309,7 +309,7 @@ def surface_clutter(
             if gamma.assumed:
                 remarks.append(f"gamma of {item.material} = {gamma.value:g}: {gamma.assumed}")
     if not surfaces:
-        return Contributions.none(), remarks
+        return iter(()), remarks
     echoes = clutter_echoes(
         prepared.context,
         prepared.anchor_m,

@@ -113,10 +113,11 @@ def echoes(
     ):
         decisions += decided
         left_out = np.hypot(left_out, missing)  # by other paths each, of phases of their own
-    clutter, on_clutter = surface_clutter(scene, prepared, rough, fidelity)
     of_edges = at_antenna(edges.echoes, prepared, radar)
-    diffuse = Contributions.concatenate([of_edges, at_antenna(clutter, prepared, radar)])
-    diffuse = diffuse.in_proportion_to_wavelength()
+    clutter, on_clutter = surface_clutter(scene, prepared, rough, fidelity)
+    # In rooms there are millions: as at the antenna alone they are kept, and joined once.
+    diffuse = [of_edges, *(at_antenna(part, prepared, radar) for part in clutter)]
+    diffuse = [echoes.in_proportion_to_wavelength() for echoes in diffuse]
     mirrors = _mirrors(scene, roles, prepared, radar, fidelity)
     declared = declared_alone(scene, roles)
     points = _points(scene, prepared, radar, declared, fidelity)
@@ -132,7 +133,7 @@ def echoes(
         Contributions.concatenate([surfaces, of_edges]), of_bodies.by_range.times(loss), radar.ofdm
     )
     bodies = levels.bodies(of_bodies.error * loss, left_out, profiles, is_bounded=not unbounded)
-    every = Contributions.concatenate([paths, diffuse, surfaces])
+    every = Contributions.concatenate([paths, *diffuse, surfaces])
     return Propagation(
         every,
         names,

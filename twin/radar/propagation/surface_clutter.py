@@ -11,6 +11,7 @@ show, are left out. Where the forward and the return path differ, cos(theta) is 
 of both: an assumption.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -103,8 +104,8 @@ def clutter_echoes(
     surfaces: list[SurfaceClutter],
     wanted: int,
     seed: int,
-) -> Contributions:
-    """Contributions of all rough surfaces ahead of the radar, without gains.
+) -> Iterator[Contributions]:
+    """Contributions of all rough surfaces ahead of the radar, without gains, part by part.
 
     Parameters
     ----------
@@ -117,7 +118,6 @@ def clutter_echoes(
     areas = [float(r.item.geometry.areas_m2.sum()) for r in surfaces]
     whole = sum(areas)
     place, boresight = (np.array(vector).ravel() for vector in (context.place, context.boresight))
-    parts = []
     points = min(_MOST_POINTS, int(_PER_SCATTERER * wanted))
     for rough, area in zip(surfaces, areas, strict=True):
         if not rough.sources:
@@ -128,8 +128,7 @@ def clutter_echoes(
         share = max(wanted * area / whole, _LEAST)
         sample = _kept(field, seen, share)
         for first in range(0, len(sample.index), _AT_ONCE):
-            parts += _echoes(context, rough, sample.take(slice(first, first + _AT_ONCE)))
-    return Contributions.concatenate(parts)
+            yield from _echoes(context, rough, sample.take(slice(first, first + _AT_ONCE)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +194,7 @@ def _echoes(context: TracingContext, rough: SurfaceClutter, points: _Points) -> 
             one, other = forward_path.take(at), return_path.take(at)
             amplitude *= np.sum(one.field * other.field, axis=1)
             number, motion = np.full(len(at), rough.number), (velocity[at], acceleration[at])
-            contributions.append(between(one, other, amplitude, motion, number).and_reversed())
+            contributions += between(one, other, amplitude, motion, number).and_reversed()
     return contributions
 
 

@@ -129,11 +129,11 @@ class Contributions(Described):
         """The same echoes, with amplitudes in proportion to the wavelength of each carrier step."""
         return replace(self, wavelength_power=np.ones(len(self)))
 
-    def and_reversed(self) -> "Contributions":
+    def and_reversed(self) -> list["Contributions"]:
         """These, and those whose source and receiver differ a second time with both exchanged."""
         back = self.source != self.receiver
         if not back.any():
-            return self
+            return [self]
         some = self.take(back)
         reverse = replace(
             some,
@@ -144,7 +144,7 @@ class Contributions(Described):
             source=some.receiver,
             receiver=some.source,
         )
-        return Contributions.concatenate([self, reverse])
+        return [self, reverse]
 
     def take(self, which: Any) -> "Contributions":
         """Only some of them, by index, mask or slice."""

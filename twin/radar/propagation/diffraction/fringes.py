@@ -192,7 +192,7 @@ def _diffracted(
         number = joined.object[at.edge]
         motion = joined.motions.at(number, at.middle_m)
         echo = between(*pair, amplitude, motion, number)
-        contributions.append(echo.take(echo.amplitude != 0).and_reversed())
+        contributions += echo.take(echo.amplitude != 0).and_reversed()
     return contributions
 
 

@@ -133,7 +133,7 @@ def _contributions(
     if lit.waves is not None:
         return one
     halves = np.where(one.source == one.receiver, 1.0, 0.5)
-    return replace(one, amplitude=one.amplitude * halves).and_reversed()
+    return Contributions.concatenate(replace(one, amplitude=one.amplitude * halves).and_reversed())
 
 
 @dataclass(frozen=True, eq=False)
