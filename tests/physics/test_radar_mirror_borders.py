@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from benchmarks.behind_fences import (
@@ -15,6 +16,7 @@ from benchmarks.behind_fences import (
 from tests.physics.radar_worlds import GAIN, RADAR, WAVELENGTH_M, plate, quad, world
 from twin.radar.propagation.diffraction import mirrors
 from twin.radar.propagation.solvers import trace
+from twin.scene import SceneObject
 
 
 def echo(*objects) -> complex:
@@ -30,6 +32,60 @@ def test_at_a_border_the_echo_is_a_knife_edges(border_m: float) -> None:
     ratio = echo(wall(border_m)) / echo(wall(4.0))
     opening = half_plane(np.array(-border_m / np.sqrt(WAVELENGTH_M * AWAY_M / 4)))
     assert abs(ratio - opening) < 0.03
+
+
+def test_at_a_border_nearer_than_its_zone_is_wide() -> None:
+    """A wall 0.1 m ahead that ends before its foot: within 45 wavelengths it had no echo."""
+    near = quad("near", [[0.1, -2, -2], [0.1, -0.003, -2], [0.1, -0.003, 2], [0.1, -2, 2]])
+    whole = quad("near", [[0.1, -2, -2], [0.1, 2, -2], [0.1, 2, 2], [0.1, -2, 2]])
+    opening = half_plane(np.array(0.003 / np.sqrt(WAVELENGTH_M * 0.1 / 4)))
+    assert abs(echo(near) / echo(whole) - opening) < 0.02
+
+
+def second(begin_m: tuple[float, float], turn_deg: float) -> SceneObject:
+    """A wall of 4 m that begins at (x, y), its far end turned away from the radar."""
+    way = 4 * np.array([np.sin(np.deg2rad(turn_deg)), np.cos(np.deg2rad(turn_deg))])
+    (x, y), (ahead, aside) = begin_m, np.add(begin_m, way)
+    return quad("second", [[x, y, -2], [ahead, aside, -2], [ahead, aside, 2], [x, y, 2]])
+
+
+def by_two_half_planes(border_m: float, begin_m: NDArray[np.float64], turn_deg: float) -> complex:
+    """Of a wall up to a border and of a second one, each with an image of its own."""
+    turn, zone_m = np.deg2rad(turn_deg), np.sqrt(WAVELENGTH_M * AWAY_M / 4)
+    along, across = np.array([np.sin(turn), np.cos(turn)]), np.array([np.cos(turn), -np.sin(turn)])
+    nearer_m = begin_m @ across - AWAY_M
+    wave = np.exp(-4j * np.pi * nearer_m / WAVELENGTH_M)
+    first = half_plane(np.array(-border_m / zone_m))
+    return complex(first + half_plane(begin_m @ along / zone_m) * wave)
+
+
+@pytest.mark.parametrize("turn_deg", [-1.0, -0.2, -0.01, 0.05, 0.4])
+@pytest.mark.parametrize("fold_m", [-0.05, 0.004, 0.03])
+def test_a_wall_that_is_folded(turn_deg: float, fold_m: float) -> None:
+    """By Kirchhoff, within 0.03: each part as far as the fold. It had been one of them, both or
+    none.
+    """
+    begin_m = (AWAY_M, fold_m)
+    found = whole_echo(wall(fold_m), second(begin_m, turn_deg)) / whole_echo(wall(4.0))
+    assert abs(found - by_two_half_planes(fold_m, np.array(begin_m), turn_deg)) < 0.03
+
+
+@pytest.mark.parametrize("step_m", [-0.02, -0.0003, 0.001, 0.02])
+@pytest.mark.parametrize("place_m", [-0.03, 0.005])
+def test_a_wall_with_a_step(step_m: float, place_m: float) -> None:
+    """Likewise: the part behind had been whole or missing."""
+    begin_m = (AWAY_M + step_m, place_m)
+    found = whole_echo(wall(place_m), second(begin_m, 0.0)) / whole_echo(wall(4.0))
+    assert abs(found - by_two_half_planes(place_m, np.array(begin_m), 0.0)) < 0.03
+
+
+@pytest.mark.parametrize("angle_deg", [100.0, 150.0])
+@pytest.mark.parametrize("place_m", [-0.02, 0.02])
+def test_an_obtuse_corner_is_the_border_of_both_walls(angle_deg: float, place_m: float) -> None:
+    """Before its foot and beyond: 0.6 and 0.4 of the wall's echo, which had been all or nothing."""
+    found = whole_echo(wall(place_m), second((AWAY_M, place_m), angle_deg - 180))
+    border = half_plane(np.array(-place_m / np.sqrt(WAVELENGTH_M * AWAY_M / 4)))
+    assert abs(found / whole_echo(wall(4.0)) - border) < 0.05
 
 
 @pytest.mark.parametrize(("post_m", "width_m"), [(5.0, 0.004), (5.0, 0.04), (3.0, 0.1), (8.0, 0.1)])

@@ -45,6 +45,9 @@ _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that l
 #: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
 #: the limit.
 _MOST_PAIRS = 2**19
+#: Cosine between planes that meet at a right angle; and how near to each other images are that are
+#: one: in radians, and in radii of the Fresnel zone on the mirror.
+_RIGHT, _SAME = 0.035, 1e-3
 _ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
 
 
@@ -94,19 +97,71 @@ class Passed(NamedTuple):
 
 
 def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> DiffractedPaths:
-    """Waves from the free border of an image's only mirror, over the mirror's echo.
+    """Waves from the border of an image's only mirror, over the mirror's echo.
 
-    Where another surface goes on beside it, as at a seam or above the ground, the border is none.
+    Where another surface goes on beside it, as at a seam or above the ground, the border is none;
+    where another mirror does at an angle or with a step, both end there.
     """
     (number,) = image.patches
     here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
     rim = border(prepared, number, image.place)
     paths = rim_paths(rim, image.place, here[None], wavenumber, faintest)
-    inside, outside = (paths.stops[:, 0] + s * paths.aside[:, 0] for s in (1, -1))
+    flat = prepared.flats[number]
+    inside, outside = (
+        _in_plane(flat, here, paths.stops[:, 0] + s * paths.aside[:, 0]) for s in (1, -1)
+    )
     begin = np.broadcast_to(here, inside.shape)
     is_free = first_between(prepared, begin, here + BEFORE_MIRROR * (inside - here)) == NOTHING
-    is_free &= first_between(prepared, begin, here + _BEYOND * (outside - here)) == NOTHING
+    met = first_between(prepared, begin, here + _BEYOND * (outside - here))
+    for row in np.flatnonzero(met != NOTHING):
+        is_free[row] &= _ends_at(prepared, image, met[row], paths.stops[row, 0], outside[row])
     return paths.take(is_free & (np.abs(paths.amplitude) >= faintest))
+
+
+def _in_plane(flat: Flat, begin: Array, places: Array) -> Array:
+    """Where ways to places (n, 3) meet a plane."""
+    ways = places - begin
+    return begin + ((flat.point - begin) @ flat.normal / (ways @ flat.normal))[:, None] * ways
+
+
+def _ends_at(prepared: PreparedScene, image: Image, met: int, edge: Array, outside: Array) -> bool:
+    """Whether a mirror ends at an edge where what a way outside meets, by its number, goes on: at
+    another mirror with an image of its own, at an obtuse angle. In a right corner the waves of both
+    borders and of the echo by both cancel.
+    """
+    here, flats = image.places[0], prepared.flats
+    own, way = flats[image.patches[0]], outside - here
+    found = []
+    for number in np.flatnonzero(flats.object == met):
+        height, slope = (
+            (flats.point[number] - here) @ flats.normal[number],
+            way @ flats.normal[number],
+        )
+        if (
+            slope
+            and 0 < (share := height / slope) < _BEYOND
+            and flats.covers(number, here + share * way)
+        ):
+            found.append((share, number))
+    if not found:
+        return False
+    share, number = min(found)
+    other = flats[number]
+    if (
+        abs(own.normal @ other.normal) < _RIGHT
+        or (here + share * way - edge) @ (outside - edge) < 0
+    ):
+        return False
+    away = image.place - here
+    distance_m = float(np.linalg.norm(away)) / 2
+    apart = mirrored(here, other) - image.place
+    deeper = apart @ away / (2 * distance_m)
+    aside = np.linalg.norm(apart - deeper * away / (2 * distance_m))
+    wavelength_m = prepared.wavelength_m
+    return bool(
+        abs(deeper) > _SAME / (2 * np.pi) * wavelength_m
+        or aside > _SAME * np.sqrt(wavelength_m * distance_m / 2)
+    )
 
 
 def border(
