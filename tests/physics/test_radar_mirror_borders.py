@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
@@ -13,10 +14,10 @@ from benchmarks.behind_fences import (
     post,
     wall,
 )
-from tests.physics.radar_worlds import GAIN, RADAR, WAVELENGTH_M, plate, quad, world
+from tests.physics.radar_worlds import GAIN, RADAR, WAVELENGTH_M, plate, quad, thing, world
 from twin.radar.propagation.diffraction import mirrors
 from twin.radar.propagation.solvers import trace
-from twin.scene import SceneObject
+from twin.scene import Pose, Rig, SceneObject
 
 
 def echo(*objects) -> complex:
@@ -60,7 +61,7 @@ def by_two_half_planes(border_m: float, begin_m: NDArray[np.float64], turn_deg: 
 
 
 @pytest.mark.parametrize("turn_deg", [-1.0, -0.2, -0.01, 0.05, 0.4])
-@pytest.mark.parametrize("fold_m", [-0.05, 0.004, 0.03])
+@pytest.mark.parametrize("fold_m", [-0.05, 0.0, 0.004, 0.03])
 def test_a_wall_that_is_folded(turn_deg: float, fold_m: float) -> None:
     """By Kirchhoff, within 0.03: each part as far as the fold. It had been one of them, both or
     none.
@@ -313,6 +314,32 @@ def test_a_right_corner_of_three_walls_echoes_once() -> None:
     assert abs(sum(p.amplitude for p in paths)) == pytest.approx(free, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("turn_deg", "from_corner_m"),
+    [(238.6235, (4.1012, 3.5519, 3.5761)), (156.9606, (4.2573, 5.986, 2.08))],
+)
+def test_a_corner_of_three_walls_far_from_the_origin(turn_deg: float, from_corner_m) -> None:
+    """Turned, and 120 m away: the ways beside it had been nearer to the corner than steps of
+    float32, and some had no echo.
+    """
+    turn = np.deg2rad(turn_deg)
+    way = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    corner_m, axes = np.array([100.0, 70.0, 0.1]), 9 * np.eye(3)
+    walls = []
+    for number in range(3):
+        one, other = np.delete(axes, number, axis=0)
+        points = np.array([0 * one, one, one + other, other])
+        walls.append(quad(f"wall{number}", points @ way.T + corner_m))
+    place = way @ np.array(from_corner_m)
+    away_m = float(np.linalg.norm(place))
+    yaw, pitch = np.arctan2(-place[1], -place[0]), np.arcsin(place[2] / away_m)
+    here = Pose(tuple(place + corner_m), yaw_deg=np.rad2deg(yaw), pitch_deg=np.rad2deg(pitch))
+    rig = Rig(here, radar=Pose((0.0, 0.0, 0.0)))
+    paths = [p for p in trace(world(*walls, rig=rig), RADAR).paths if len(p.via) == 3]
+    free = GAIN * WAVELENGTH_M / (8 * np.pi * away_m)
+    assert abs(sum(p.amplitude for p in paths)) == pytest.approx(free, rel=1e-3)
+
+
 def test_a_corner_behind_a_sheet_is_not_seen() -> None:
     assert seen_in_both(*corner(90.1), plate("sheet", (3.0, 0, 0), 0.5)) == 0
 
@@ -326,9 +353,58 @@ def test_a_label_takes_its_place_on_the_wall() -> None:
     assert abs(total - alone) < 0.15 * abs(alone)
 
 
-def test_where_a_surface_goes_on_there_is_no_border() -> None:
-    """A wall of two halves side by side answers as one."""
-    halves = echo(
-        wall(0.02), quad("rest", [[10, 0.02, -2], [10, 4, -2], [10, 4, 2], [10, 0.02, 2]])
+@pytest.mark.parametrize("border_m", [0.02, 0.0, -0.03])
+def test_where_a_surface_goes_on_there_is_no_border(border_m: float) -> None:
+    """A wall beside a box in its plane answers as one, before the foot and beyond it."""
+    box = trimesh.creation.box(bounds=[[AWAY_M, border_m, -2], [AWAY_M + 0.2, 4, 2]])
+    both = echo(wall(border_m), thing("box", box.vertices, box.faces))
+    assert abs(both / echo(wall(4.0)) - 1) < 1e-3
+
+
+@pytest.mark.parametrize("place_m", [0.03, 0.1])
+def test_in_a_right_corner_no_wall_has_a_border(place_m: float) -> None:
+    """The radar is 3 or 10 cm before the other wall; what their borders send cancels."""
+    paths = trace(world(wall(place_m), second((AWAY_M, place_m), -90.0)), RADAR).paths
+    single = sum(
+        p.amplitude * np.exp(-2j * np.pi * (79e9 * p.delay_s % 1)) for p in paths if len(p.via) == 1
     )
-    assert abs(halves / echo(wall(4.0)) - 1) < 0.03
+    assert abs(single / whole_echo(wall(4.0)) - 1) < 1e-6
+
+
+@pytest.mark.parametrize("place_m", [(0.01, 0.02), (-0.1, 0.03), (0.0, 0.0)])
+def test_where_four_panels_meet_there_is_no_border(place_m: tuple[float, float]) -> None:
+    assert abs(whole_echo(*four_panels(place_m, 0.0)) / whole_echo(wall(4.0)) - 1) < 1e-3
+
+
+@pytest.mark.parametrize("place_m", [(0.01, 0.02), (0.03, -0.01), (0.0, 0.02)])
+def test_four_panels_one_behind_the_other(place_m: tuple[float, float]) -> None:
+    """Each by a millimetre: quarters of a plane, by Fresnel's integrals."""
+    step_m, zone_m = 1e-3, np.sqrt(WAVELENGTH_M * AWAY_M / 4)
+    expected = 0j
+    for number, signs in enumerate([(-1, -1), (1, -1), (-1, 1), (1, 1)]):
+        quarter = np.prod(half_plane(np.array(signs) * place_m / zone_m))
+        expected += quarter * np.exp(-4j * np.pi * step_m * number / WAVELENGTH_M)
+    found = whole_echo(*four_panels(place_m, step_m)) / whole_echo(wall(4.0))
+    assert abs(found - expected) < 1e-3
+
+
+def four_panels(place_m: tuple[float, float], step_m: float) -> list[SceneObject]:
+    """Of 3 to 4 m, that meet beside the foot, each farther ahead by a step."""
+    (y, z), panels = place_m, []
+    ranges = [(-4, y, -3, z), (y, 4, -3, z), (-4, y, z, 3), (y, 4, z, 3)]
+    for number, (left, right, low, high) in enumerate(ranges):
+        x = AWAY_M + number * step_m
+        corners = [[x, left, low], [x, right, low], [x, right, high], [x, left, high]]
+        panels.append(quad(f"panel{number}", corners))
+    return panels
+
+
+@pytest.mark.parametrize("ahead_m", [0.1, 0.5])
+def test_a_body_that_begins_where_a_wall_ends(ahead_m: float) -> None:
+    """Takes nothing of the wall's echo but what its border does: both are one edge."""
+    border_m, x = 0.02, AWAY_M - ahead_m
+    y = border_m * x / AWAY_M
+    body = quad("body", [[x, y, -0.4], [x, y + 0.4, -0.4], [x, y + 0.4, 0.4], [x, y, 0.4]])
+    zone_m = np.sqrt(WAVELENGTH_M * AWAY_M / 4)
+    found = abs(echo(wall(border_m), body) / echo(wall(4.0)))
+    assert found == pytest.approx(abs(half_plane(np.array(-border_m / zone_m))), abs=0.1)

@@ -1,5 +1,6 @@
 """Which large surfaces a tolerance takes for rough: a bound of their clutter that holds."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -251,10 +252,10 @@ def test_between_facing_walls_clutter_comes_by_two_reflections_on_a_way_at_most(
     scene = replace(world(*walls, plate("sign", (5, 0, 0), 0.2)), materials=surface(0.003, 0.1))
     orders: list[int] = []
 
-    def no_echoes(context, _anchor, surfaces, *_: object) -> Contributions:
+    def no_echoes(context, _anchor, surfaces, *_: object) -> Iterator[Contributions]:
         of_image = np.array(context.orders)
         orders.extend(int(of_image[source]) for one in surfaces for source in one.sources)
-        return Contributions.none()
+        return iter(())
 
     monkeypatch.setattr(physical_optics, "clutter_echoes", no_echoes)
     wide = RADAR.with_({"antenna.gain_dbi": 3.0103})

@@ -25,6 +25,7 @@ from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turn
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.rows import lengths
 from twin.radar.propagation.scene.images import Image
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
@@ -33,7 +34,10 @@ from twin.transfer import host, vector
 
 Array = NDArray[np.float64]
 
-_ASIDE = 1e-4  # of an image's distance: far beyond float32's step, far below a Fresnel zone
+#: How far beside the way to an image it is looked for too: over one mirror, as a share of the way,
+#: far beyond float32's step there; in corners, of a Fresnel zone: beyond these steps 64 m from the
+#: anchor, where a way meets several mirrors at one place.
+_ASIDE, _ASIDE_IN_CORNERS = 1e-4, 0.05
 _OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
@@ -120,7 +124,10 @@ def _whole_mirrors(context: TracingContext) -> tuple[Contributions, Array]:
     count = context.n_sources - 1
     here, source = np.array(context.place).ravel(), 1 + np.arange(count)
     from_image = here - np.array(context.positions).reshape(-1, 3)[source]
-    aside = np.multiply.outer([0, _ASIDE, -_ASIDE], np.cross(from_image, _OBLIQUE)).reshape(-1, 3)
+    in_corners = _ASIDE_IN_CORNERS * np.sqrt(float(context.wavelength[0]) / lengths(from_image))
+    beside = np.where(np.array(context.orders)[1:] == 1, _ASIDE, in_corners)
+    aside = beside[:, None] * np.cross(from_image, _OBLIQUE)
+    aside = np.multiply.outer([0, 1, -1], aside).reshape(-1, 3)
     paths = paths_to_points(context, np.tile(source, 3), here + aside, np.zeros_like(aside))
     clear = paths.clear.reshape(3, count)
     share = clear[1:].mean(axis=0)

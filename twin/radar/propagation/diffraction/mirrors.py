@@ -31,7 +31,7 @@ from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.rows import lengths
 from twin.radar.propagation.scene.images import Image, in_plane, mirrored
-from twin.radar.propagation.scene.mesh_scene import Flat
+from twin.radar.propagation.scene.mesh_scene import Flat, Flats
 
 Array = NDArray[np.float64]
 
@@ -45,9 +45,8 @@ _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that l
 #: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
 #: the limit.
 _MOST_PAIRS = 2**19
-#: Cosine between planes that meet at a right angle; and how near to each other images are that are
-#: one: in radians, and in radii of the Fresnel zone on the mirror.
-_RIGHT, _SAME = 0.035, 1e-3
+_RIGHT = 0.035  # cosine between planes that meet at a right angle
+_SAME = 1e-3  # wavelengths between images that are one
 _ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
 
 
@@ -114,7 +113,8 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
     is_free = first_between(prepared, begin, here + BEFORE_MIRROR * (inside - here)) == NOTHING
     met = first_between(prepared, begin, here + _BEYOND * (outside - here))
     for row in np.flatnonzero(met != NOTHING):
-        is_free[row] &= _ends_at(prepared, image, met[row], paths.stops[row, 0], outside[row])
+        beside = _first_met(prepared.flats, int(met[row]), here, outside[row])
+        is_free[row] &= beside is not None and _ends_beside(prepared, image, beside)
     return paths.take(is_free & (np.abs(paths.amplitude) >= faintest))
 
 
@@ -124,44 +124,27 @@ def _in_plane(flat: Flat, begin: Array, places: Array) -> Array:
     return begin + ((flat.point - begin) @ flat.normal / (ways @ flat.normal))[:, None] * ways
 
 
-def _ends_at(prepared: PreparedScene, image: Image, met: int, edge: Array, outside: Array) -> bool:
-    """Whether a mirror ends at an edge where what a way outside meets, by its number, goes on: at
-    another mirror with an image of its own, at an obtuse angle. In a right corner the waves of both
-    borders and of the echo by both cancel.
+def _ends_beside(prepared: PreparedScene, image: Image, number: int) -> bool:
+    """Whether a mirror ends where another one, by its number, goes on beside it: one with an image
+    of its own, at no right angle. In a right corner the waves of both borders and of the echo by
+    both cancel.
     """
-    here, flats = image.places[0], prepared.flats
-    own, way = flats[image.patches[0]], outside - here
-    found = []
-    for number in np.flatnonzero(flats.object == met):
-        height, slope = (
-            (flats.point[number] - here) @ flats.normal[number],
-            way @ flats.normal[number],
-        )
-        if (
-            slope
-            and 0 < (share := height / slope) < _BEYOND
-            and flats.covers(number, here + share * way)
-        ):
-            found.append((share, number))
-    if not found:
-        return False
-    share, number = min(found)
-    other = flats[number]
-    if (
-        abs(own.normal @ other.normal) < _RIGHT
-        or (here + share * way - edge) @ (outside - edge) < 0
-    ):
-        return False
-    away = image.place - here
-    distance_m = float(np.linalg.norm(away)) / 2
-    apart = mirrored(here, other) - image.place
-    deeper = apart @ away / (2 * distance_m)
-    aside = np.linalg.norm(apart - deeper * away / (2 * distance_m))
-    wavelength_m = prepared.wavelength_m
-    return bool(
-        abs(deeper) > _SAME / (2 * np.pi) * wavelength_m
-        or aside > _SAME * np.sqrt(wavelength_m * distance_m / 2)
-    )
+    own, other = prepared.flats[image.patches[0]], prepared.flats[number]
+    apart_m = np.linalg.norm(mirrored(image.places[0], other) - image.place)
+    is_right = abs(own.normal @ other.normal) < _RIGHT
+    return bool(apart_m > _SAME * prepared.wavelength_m and not is_right)
+
+
+def _first_met(flats: Flats, item: int, begin: Array, end: Array) -> int | None:
+    """The patch of an object that a way first meets, by its number, if any."""
+    met, way = [], end - begin
+    for number in map(int, np.flatnonzero(flats.object == item)):
+        flat = flats[number]
+        height, slope = (flat.point - begin) @ flat.normal, way @ flat.normal
+        share = height / slope if slope else np.inf
+        if 0 < share < _BEYOND and flats.covers(number, begin + share * way):
+            met.append((share, number))
+    return min(met)[1] if met else None
 
 
 def border(
