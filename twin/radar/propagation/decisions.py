@@ -142,6 +142,23 @@ def _on_coarse_tubes(
     return decisions
 
 
+def on_mirror_borders(
+    objects: Sequence[tuple[str, ...]], left_out: Array, permitted: float, cost_s: float
+) -> tuple[Decision, ...]:
+    """Decisions on waves over the borders of mirrors to bodies, which are not computed, the largest
+    first; ``left_out`` (n_bodies,) as of `on_round_obstacles`.
+    """
+    decisions = []
+    for row in np.argsort(-left_out, kind="stable")[:_NAMED]:
+        if left_out[row] > 0:
+            name = label_of(objects[row])
+            effect, at_most = f"waves over borders of mirrors to {name}", float(left_out[row])
+            decisions.append(
+                Decision("radar", effect, at_most, permitted, UNIT, False, cost_s, body=name)
+            )
+    return tuple(decisions)
+
+
 def on_round_obstacles(
     objects: Sequence[tuple[str, ...]],
     bound: Array,

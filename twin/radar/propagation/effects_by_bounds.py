@@ -18,10 +18,12 @@ from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.decisions import (
     on_edges,
     on_faint_bodies,
+    on_mirror_borders,
     on_reflections,
     on_round_obstacles,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
+from twin.radar.propagation.diffraction.over_mirrors import border_levels
 from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
@@ -102,6 +104,13 @@ class BodyLevels:
     ) -> tuple[BodyProfile, ...]:
         """Where in range and rate the echoes of bodies and their errors are."""
         return body_profiles(self.of_object[echoes.object], len(self.names), echoes, errors, wave)
+
+    def rms_of(self, echoes: Contributions, radar: RadarDesign) -> Array:
+        """Amplitude of every body's part of echoes, rms over the band, (n_bodies,)."""
+        owner, wave = self.of_object[echoes.object], radar.ofdm
+        echo = summed_by(owner, len(self.names), echoes, wave.carrier_hz, band_of(wave))
+        level: Array = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
+        return level
 
     def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "BodyLevels":
         """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""
@@ -191,17 +200,11 @@ def round_obstacles(
     )
     found = behind(prepared, radar, fidelity, accepted)
 
-    def level(echoes: Contributions) -> Array:
-        owner, band = levels.of_object[echoes.object], band_of(radar.ofdm)
-        echo = summed_by(owner, len(nothing), echoes, radar.ofdm.carrier_hz, band)
-        rms: Array = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
-        return rms
-
     # Echoes over mirrors, which are not followed round obstacles, may change by as much as others.
     is_direct = (lit.source == 0) & (lit.receiver == 0)
-    changed = level(at_antenna(found.contributions, prepared, radar))
-    straight = np.maximum(level(lit.take(np.flatnonzero(is_direct))), 1e-300)
-    over_mirrors = level(lit.take(np.flatnonzero(~is_direct)))
+    changed = levels.rms_of(at_antenna(found.contributions, prepared, radar), radar)
+    straight = np.maximum(levels.rms_of(lit.take(np.flatnonzero(is_direct)), radar), 1e-300)
+    over_mirrors = levels.rms_of(lit.take(np.flatnonzero(~is_direct)), radar)
     mirrored = np.minimum(changed / straight, 1.0) * over_mirrors
     return RoundObstacles(
         found.contributions,
@@ -211,6 +214,30 @@ def round_obstacles(
         perf_counter() - began_s,
         most is None,
     )
+
+
+def mirror_borders(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+) -> Decided:
+    """What waves over the borders of mirrors may change of echoes over these, which is left out."""
+    nothing = np.zeros(len(levels.names))
+    rows = np.flatnonzero((lit.source > 0) | (lit.receiver > 0))
+    if fidelity.radar_shadowed is not None or not len(rows):
+        return (), nothing
+    began_s = perf_counter()
+    over = lit.take(rows)
+    images = np.unique(np.concatenate([over.source, over.receiver]))
+    waves = border_levels(prepared, levels.of_object, len(nothing), images)
+    body = levels.of_object[over.object]
+    changed = (1 + waves[body, over.source]) * (1 + waves[body, over.receiver]) - 1
+    level = levels.rms_of(replace(over, amplitude=over.amplitude * changed), radar)
+    left_out = level / levels.reference
+    cost_s = perf_counter() - began_s
+    return on_mirror_borders(levels.names, left_out, levels.permitted, cost_s), left_out
 
 
 def faint_bodies(

@@ -16,6 +16,7 @@ from twin.radar.propagation.effects_by_bounds import (
     body_levels,
     faint_bodies,
     further_reflections,
+    mirror_borders,
     round_obstacles,
     sharp_edges,
 )
@@ -110,6 +111,7 @@ def echoes(
         further_reflections(levels, fidelity, of_bodies.choice, radar),
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
         behind.decided_by(levels),
+        mirror_borders(prepared, radar, fidelity, levels, lit),
     ):
         decisions += decided
         left_out = np.hypot(left_out, missing)  # by other paths each, of phases of their own

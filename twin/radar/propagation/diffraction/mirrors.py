@@ -45,7 +45,7 @@ _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that l
 #: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
 #: the limit.
 _MOST_PAIRS = 2**19
-_RIGHT = 0.035  # cosine between planes that meet at a right angle
+RIGHT = 0.035  # cosine between planes that meet at a right angle
 _SAME = 1e-3  # wavelengths between images that are one
 _ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
 
@@ -131,7 +131,7 @@ def _ends_beside(prepared: PreparedScene, image: Image, number: int) -> bool:
     """
     own, other = prepared.flats[image.patches[0]], prepared.flats[number]
     apart_m = np.linalg.norm(mirrored(image.places[0], other) - image.place)
-    is_right = abs(own.normal @ other.normal) < _RIGHT
+    is_right = abs(own.normal @ other.normal) < RIGHT
     return bool(apart_m > _SAME * prepared.wavelength_m and not is_right)
 
 

@@ -115,6 +115,13 @@ def _gaps(obstacles: Screens, others: Indices, direct: Array, radius: Array) -> 
     return root_q
 
 
+def level_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:
+    """Of waves over a rim to the ends of vectors (n, 3) from its source, over the straight wave, at
+    most, (n,).
+    """
+    return _beside(rim, direct, np.zeros(len(direct)), wavenumber)[0]
+
+
 def _beside(
     rim: Outline, direct: Array, radius: Array, wavenumber: float
 ) -> tuple[Array, Array, Array, Array, Indices]:
