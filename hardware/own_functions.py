@@ -38,11 +38,13 @@ class OwnFunction:
     digest: str
 
     def __call__(self, *arguments: Any) -> Any:
-        """Its result. Raises OwnFunctionError, with the line, for whatever it raises itself, an end
-        of the program by ``sys.exit`` too; errors of this package as they are.
+        """Its result; what it tells NumPy to do about floating-point errors (`numpy.seterr`) ends
+        with it. Raises OwnFunctionError, with the line, for whatever it raises itself, an end of
+        the program by ``sys.exit`` too; errors of this package as they are.
         """
         try:
-            return self.function(*arguments)
+            with np.errstate():
+                return self.function(*arguments)
         except HardwareError:
             raise
         except (Exception, SystemExit) as error:  # a user's function may fail in any way

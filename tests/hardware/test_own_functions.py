@@ -309,6 +309,26 @@ def test_what_an_own_function_raises_is_an_error_with_its_line(tmp_path: Path) -
         assert ended.stderr.startswith(f"ugv: error: {name}: {told}")
 
 
+@np.errstate()  # a failure ends here
+def test_what_an_own_function_tells_numpy_ends_with_it() -> None:
+    """Also where it fails: what comes after it underflows as before."""
+    before = np.geterr()
+
+    def careful(values, noise_variance, sensing):
+        np.seterr(all="raise")
+        return inverse(values, noise_variance, sensing)
+
+    def fails(values, noise_variance, sensing):
+        np.seterr(all="raise")
+        return np.log(np.zeros(3))
+
+    reconstruct(camera_record(), careful)
+    assert np.geterr() == before
+    with pytest.raises(OwnFunctionError, match="fails: FloatingPointError"):
+        reconstruct(camera_record(), fails)
+    assert np.geterr() == before
+
+
 @pytest.mark.parametrize("given", [5, None, [], np.mean])
 def test_what_is_no_method_is_an_error(given) -> None:
     with pytest.raises(InputError, match=r"method: .* expected a name|mean: TypeError"):

@@ -383,6 +383,22 @@ def test_an_open_view_through_fog_states_the_light_of_the_air_that_is_left_out(
     )
     found = capture(scene, system, seed=1, fidelity=Fidelity(16, 1))
     told = " ".join(map(str, found.warnings))
-    assert "half of the cells look through an optical depth of 1" in told
+    assert "half of the cells look through an optical depth of scattering of 1" in told
     assert ("sunlight that hits no surface" in told) == (lux > 0)
     assert (found.model_error.background_systematic_w > 2 * found.background_w) == (lux > 0)
+
+
+@pytest.mark.parametrize(("albedo", "is_told"), [(0.0, False), (0.02, False), (0.2, True)])
+def test_air_that_only_absorbs_scatters_nothing_more_than_once(
+    tmp_path: Path, albedo: float, is_told: bool
+) -> None:
+    """A wall at 10 m at an optical depth of 4.9: what is left out grows with that of scattering, 0,
+    0.1 and 1, and is warned of from 0.25 on.
+    """
+    smoke = f'[weather]\nvisibility_m = "8.05 m"\nsingle_scattering_albedo = {albedo}\n'
+    system = foggy(tmp_path, f"{smoke}asymmetry = 0.3\n").with_(
+        {"emitter.rows": 4, "emitter.columns": 4, "acquisition.n_patterns": 16}
+    )
+    found = capture(wall_before(), system, seed=1, fidelity=Fidelity(16, 1))
+    told = " ".join(map(str, found.warnings))
+    assert ("scattered by the air more than once" in told) == is_told

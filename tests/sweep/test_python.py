@@ -7,14 +7,18 @@ import pytest
 from typer.testing import CliRunner
 
 from hardware.radar.range_doppler import RangeDopplerMap
+from twin.accuracy import Interval
 from twin.cli import app
 from twin.fidelity import Fidelity
 from twin.files import InputError
+from twin.geometry.shape import shapes_of
 from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.sweep import Study, load_study, open_sweep, run_sweep
 from twin.sweep.evaluate import outcome_of
 from twin.sweep.inputs import inputs_of
+from twin.sweep.metrics import Outcome
+from twin.sweep.names import ERRORS
 from twin.system import load_part, load_system
 
 WORKABLE = load_system("workable")
@@ -198,12 +202,62 @@ def test_a_metric_changes_no_result_and_ends_no_sweep(tmp_path: Path) -> None:
         assert told in str(done.reasons)
 
 
-def test_an_error_of_several_lines_is_told_in_one(tmp_path: Path) -> None:
+@np.errstate()  # a failure ends here
+def test_what_a_metric_tells_numpy_ends_with_it(tmp_path: Path) -> None:
+    """`numpy.seterr` of one metric neither reaches the metrics after it, nor what the twin computes
+    for it: light and scores underflow where nothing is wrong.
+    """
+    before = np.geterr()
+
+    def careful(outcome) -> float:
+        np.seterr(all="raise")
+        return 0.0
+
+    def undisturbed(outcome) -> float:
+        return float(np.geterr() == before)
+
+    study = _study(metrics=[careful, undisturbed], grid={"seed": [1, 2]})
+    done = run_sweep(study, out=tmp_path / "out", workers=0)
+    assert done.n_failed == 0, done.reasons
+    assert np.geterr() == before
+    assert (open_sweep(done.out)[study.metrics[1]] == 1).all()
+    setup = outcome_of(study, 0).setup
+    outcome = Outcome(setup, np.geterr, np.geterr)  # type: ignore[arg-type]
+    with np.errstate(all="raise"):
+        assert outcome.capture == outcome.radar == before
+
+
+def test_errors_of_a_metric_that_gives_none_are_not_known(tmp_path: Path) -> None:
+    """What draws of the noise make of a plain number is no more known than the model's errors."""
+    metrics = [lambda outcome: 1.0, lambda outcome: np.nan, lambda outcome: np.inf]
+    study = _study(metrics=[*metrics, lambda outcome: Interval(1.0, noise=0.5)])
+    done = run_sweep(study, out=tmp_path / "out", workers=0)
+    assert done.n_failed == 0, done.reasons
+    data = open_sweep(done.out)
+    *plain, with_errors = study.metrics
+    for name in plain:
+        for kind in ERRORS:
+            assert np.isnan(data[f"{name}.{kind}"]).all(), f"{name}.{kind}"
+    assert data[f"{with_errors}.noise"] == 0.5
+
+
+def test_an_error_of_several_lines_is_told_in_one_with_the_metric(tmp_path: Path) -> None:
     def fails(outcome) -> float:
         raise RuntimeError("first line\n  second line")
 
-    done = run_sweep(_study(metrics=[fails]), out=tmp_path / "out", workers=0)
-    assert done.reasons == (("RuntimeError: first line second line", 1),)
+    study = _study(metrics=[fails])
+    done = run_sweep(study, out=tmp_path / "out", workers=0)
+    (told, count), (name,) = done.reasons[0], study.metrics
+    assert count == 1
+    assert told.startswith(f"OwnFunctionError: {name}: RuntimeError: first line second line (")
+
+
+@pytest.mark.parametrize(("given", "told"), [(None, "a NoneType"), (np.zeros(2), "a ndarray")])
+def test_a_metric_that_gives_no_number_is_told_by_name(tmp_path: Path, given, told: str) -> None:
+    study = _study(metrics=[lambda outcome: given])
+    done = run_sweep(study, out=tmp_path / "out", workers=0)
+    expected = f"{study.metrics[0]}: returned {told}, expected a number or an Interval"
+    assert done.reasons == ((f"OwnFunctionError: {expected}", 1),)
 
 
 def test_points_left_out_of_shares_may_be_no_number(tmp_path: Path) -> None:
@@ -231,7 +285,13 @@ def test_points_left_out_of_shares_may_be_no_number(tmp_path: Path) -> None:
         lambda outcome: outcome.setup.scene.objects[0].geometry.shape.hull,
         lambda outcome: outcome.setup.scene.objects[0].geometry.edges.ends,
         lambda outcome: outcome.setup.scene.rig.state.velocity_m_per_s,
+        lambda outcome: outcome.setup.scene.objects[12].geometry.welded_faces,
+        lambda outcome: outcome.setup.scene.objects[13].reflectance.image,
         lambda outcome: outcome.reconstruction.image,
+        lambda outcome: outcome.capture.noise_draws._power.cells_w,
+        lambda outcome: outcome.capture.noise_draws._chain.gains,
+        lambda outcome: outcome.capture.noise_draws._chain.sky.angles_deg,
+        lambda outcome: outcome.capture.noise_draws._chain._known["cells"][0][1].axes,
     ],
 )
 def test_what_is_computed_for_a_metric_is_read_only_too(array_of) -> None:
@@ -239,9 +299,16 @@ def test_what_is_computed_for_a_metric_is_read_only_too(array_of) -> None:
     it is first asked for, by one's own metric perhaps. On 43f3f9f7 such a metric changed PSNR's
     error and the echoes of other points, without a word.
     """
-    array = array_of(outcome_of(_study(metrics=["psnr_db"]), 0))
-    with pytest.raises(ValueError, match="read-only"):
-        array[...] = 0
+    outcome = outcome_of(_study(metrics=["psnr_db"]), 0)
+    shapes_of([item.geometry for item in outcome.setup.scene.objects])  # as the radar does
+    assert not array_of(outcome).flags.writeable  # written to, it would spoil other tests
+
+
+def test_results_of_a_point_cannot_be_assigned() -> None:
+    outcome = outcome_of(_study(metrics=["psnr_db"]), 0)
+    for name in ("capture", "reconstruction", "score", "radar", "setup"):
+        with pytest.raises(AttributeError, match=f"cannot assign to field '{name}'"):
+            setattr(outcome, name, None)
 
 
 def test_axes_of_a_map_are_read_only() -> None:

@@ -19,6 +19,7 @@ from twin.camera.acquisition import capture
 from twin.camera.mounting import check_clear, check_rig
 from twin.camera.reflectance_rescaling import render_unit_reflectance
 from twin.camera.stream import frames
+from twin.engine import exr_threads
 from twin.fidelity import Fidelity
 from twin.files import InputError, new_folder, whole_folder
 from twin.radar.device.antenna_pattern_file import read_pattern
@@ -371,7 +372,8 @@ def test_the_pixels_of_a_texture_are_counted_before_they_are_decoded(
     if name == "big.png":
         Image.new("1", (12_000, 12_000)).save(tmp_path / name)
     else:
-        mi.Bitmap(np.zeros((4, 4), np.float32)).write(str(tmp_path / name))
+        with exr_threads():
+            mi.Bitmap(np.zeros((4, 4), np.float32)).write(str(tmp_path / name))
         window = b"dataWindow\0box2i\0\x10\0\0\0"
         data = (tmp_path / name).read_bytes()
         small, large = (np.array([0, 0, n - 1, n - 1], "<i4").tobytes() for n in (4, 100_000))

@@ -27,7 +27,7 @@ from twin.camera.acquisition import capture, measure
 from twin.camera.evaluation import evaluate
 from twin.camera.light import render
 from twin.camera.score import score
-from twin.engine import mitsuba
+from twin.engine import exr_threads, mitsuba
 from twin.fidelity import Fidelity
 from twin.files import InputError, locked, whole_folder
 from twin.job import run, stage_names
@@ -185,7 +185,8 @@ def _of_detection(of: list[str], number: int) -> bool:
 def test_truth_has_named_channels_in_metres(finished: Path) -> None:
     """Against the scene file: the chart stands 5 m ahead, the wall at 12.3 m, above is nothing."""
     mi = mitsuba()
-    bitmap = mi.Bitmap(str(finished / "truth.exr"))
+    with exr_threads():
+        bitmap = mi.Bitmap(str(finished / "truth.exr"))
     names = [field.name for field in bitmap.struct_()]
     assert names == ["albedo", "depth"]
     albedo, depth = np.moveaxis(np.array(bitmap), -1, 0)

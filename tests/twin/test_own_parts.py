@@ -7,8 +7,11 @@ import pytest
 
 from hardware import Flag, read_record
 from twin import (
+    Air,
     Fidelity,
+    FrontEnd,
     InputError,
+    System,
     capture,
     load_radar,
     load_scene,
@@ -191,3 +194,43 @@ def test_closed_formulas_refuse_what_they_do_not_know(folder: Path) -> None:
     system = system_of(folder, '[detector]\nfunction = "mine.py:brighter"\n')
     with pytest.raises(InputError, match="closed formulas know the bundled photodiode"):
         wall_rows(system, [10.0], [0.5])
+
+
+class Careful:
+    """Weather and the bundled photodiode, whose methods ask NumPy to raise each time."""
+
+    def __init__(self, section) -> None:
+        self.known = FrontEnd.of(section) if isinstance(section, System) else None
+
+    def __getattr__(self, name: str):
+        value = getattr(self.__dict__["known"], name)
+        return self._calling(value) if callable(value) else value
+
+    def air(self, wavelength_m):
+        return self._calling(Air)(0.1, 0.0, 0.0)
+
+    def db_per_m(self, carrier_hz):
+        return self._calling(float)(0.01)
+
+    @staticmethod
+    def _calling(function):
+        def call(*arguments, **named):
+            with np.errstate():
+                result = function(*arguments, **named)
+            np.seterr(all="raise")
+            return result
+
+        return call
+
+
+@np.errstate()  # a failure ends here
+def test_what_own_parts_tell_numpy_ends_with_them() -> None:
+    """Light, counts and echoes underflow where nothing is wrong, which must not raise."""
+    before, scene = np.geterr(), load_scene("table1")
+    changes = {"weather": {"function": Careful}, "detector.function": Careful}
+    system = load_system("workable").with_(changes)
+    capture(scene, system, seed=1, fidelity=QUICK)
+    assert np.geterr() == before
+    radar = load_radar("hybrid-79")
+    radar_capture(scene, radar, seed=1, fidelity=QUICK, weather=system.weather)
+    assert np.geterr() == before

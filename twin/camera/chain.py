@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from hardware.patterns import Patterns
+from hardware.read_only import read_only
 from hardware.records import QuaternionPose, SpiRecord
 from twin import __version__
 from twin.camera.filtered import share_of_cells, sun_of_parts
@@ -112,12 +113,12 @@ class Chain:
         return cls(
             system=system,
             lens=collection(system),
-            sky=_sky(system, sun),
+            sky=read_only(_sky(system, sun)),
             shutters=shutters(system),
             front_end=FrontEnd.of(system, responsivity)
             if detector is None
             else check_detector(detector),
-            gains=cell_gains(system.emitter),
+            gains=read_only(cell_gains(system.emitter)),
         )
 
     @cached_property
@@ -291,7 +292,8 @@ class Chain:
         """Budget at the mean of exposures."""
         fluctuation = self.system.emitter.intensity_noise
         relative = fluctuation.value if fluctuation else 0.0
-        budget = self.front_end.noise_budget(signal_w, sun_w, relative)
+        with np.errstate():  # what a user's own may set ends with it, as of `OwnFunction`
+            budget = self.front_end.noise_budget(signal_w, sun_w, relative)
         times = self.exposure_times
         return in_image(budget, self.patterns, times) if times else budget
 

@@ -17,7 +17,8 @@ from twin.warned import CaptureWarning
 
 Array = NDArray[np.float64]
 
-#: One-way optical depth above which multiply scattered light of the air exceeds 1 % in fog.
+#: One-way optical depth of scattering from which a warning is given: 0.2 to 3 % of all light is
+#: scattered more than once there in air that absorbs none, 0.7 to 4 % at an albedo of 0.2.
 _THICK = 0.25
 
 #: Distance at which a wall would leave as much of the air's light out as an open view.
@@ -27,7 +28,8 @@ _OPEN_VIEW_M = 12.5
 _MISSING_VEIL = (
     "in fog 3 to 8 % of all light at 0.5, 12 to 22 % at 1 and 20 to 45 % at 2 (there up to 4 times "
     "the light of the surfaces), for emitter and detector 0.1 to 0.4 m apart, 20 deg wide, and a "
-    "wall 10 m away of reflectance 0.8 to 0.2; the more the farther apart they are"
+    "wall 10 m away of reflectance 0.8 to 0.2; the more the farther apart they are; in air that "
+    "absorbs most, of an albedo of 0.2, 3 to 14 % at 0.5"
 )
 
 #: Radius of the Airy disc over half the field above which a warning is given.
@@ -90,16 +92,16 @@ def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
     if air is None:
         return []
     seen_m = np.where(np.isfinite(depth_m), depth_m, _OPEN_VIEW_M)
-    depth = air.extinction_per_m * float(np.median(seen_m))
+    depth = air.scattering_per_m * float(np.median(seen_m))
     if depth < _THICK:
         return []
     return [
         CaptureWarning(
             "model",
-            f"half of the cells look through an optical depth of {depth:.2g} or more (an open view "
-            f"counts as {_OPEN_VIEW_M:g} m): light that hits no surface and is scattered by the "
-            f"air more than once is left out; it is spread over the image: {_MISSING_VEIL}; the "
-            "real image has less contrast",
+            f"half of the cells look through an optical depth of scattering of {depth:.2g} or more "
+            f"(an open view counts as {_OPEN_VIEW_M:g} m): light that hits no surface and is "
+            "scattered by the air more than once is left out; it is spread over the image: "
+            f"{_MISSING_VEIL}; the real image has less contrast",
         )
     ]
 

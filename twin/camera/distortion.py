@@ -61,12 +61,16 @@ def distortions(chain: Chain, power: Powers) -> Distortions:
     unlit_w = np.zeros((patterns.n_exposures, n_shutters, len(power.sun_w)))
     dark_w = chain.exposure_power(unlit_w, sun_w)
 
+    def mean_e(exposed_w: Array) -> Array:
+        with np.errstate():  # what a user's own may set ends with it, as of `OwnFunction`
+            return detector.mean_e(exposed_w)
+
     def image(exposed_w: Array, *, cut: bool) -> Array:
         linear = exposed_w * detector.electrons_per_watt + detector.dark_e
-        electrons = detector.mean_e(exposed_w) if cut else linear
+        electrons = mean_e(exposed_w) if cut else linear
         if isinstance(patterns, RasterScan):  # the background is known from other gates
             unlit = dark_w * detector.electrons_per_watt + detector.dark_e
-            electrons = electrons - (detector.mean_e(dark_w) if cut else unlit)
+            electrons = electrons - (mean_e(dark_w) if cut else unlit)
         summed = electrons.reshape(-1, n_shutters, electrons.shape[-1]).sum(axis=1)
         return _image(summed, patterns)
 

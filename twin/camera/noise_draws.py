@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.read_only import cached_read_only
+from hardware.read_only import cached_read_only, read_only
 from hardware.reconstruction.measurements import Measurements, measurements, with_level
 from hardware.records import SpiRecord
 from twin.camera.chain import Chain, Powers
@@ -42,6 +42,7 @@ class NoiseDraws:
         """
         self._chain, self._power, self._record = chain, power, record
         self._noise, self.seed, self._mean_w, self._sun_w = noise, seed, mean_w, sun_w
+        read_only((power, mean_w, sun_w))
 
     @property
     def has_noise(self) -> bool:

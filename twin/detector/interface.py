@@ -88,7 +88,8 @@ def checked_exposure(
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
     """Counts and flags of a detector at a power. Raises InputError for invalid ones."""
     name, top = type(detector).__name__, 2**detector.adc_bits - 1
-    result = detector.expose(power_w, rng=rng, noise=noise)
+    with np.errstate():  # what a user's own may set ends with it, as of `OwnFunction`
+        result = detector.expose(power_w, rng=rng, noise=noise)
     if not isinstance(result, tuple) or len(result) != 2:
         raise InputError(
             f"{name}.expose: returned a {type(result).__name__}, expected counts and flags"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.read_only import read_only
 from twin.errors import InputError
 from twin.geometry.coarseness import depths_m
 from twin.geometry.edges import EdgeTable, connected, doubles, edge_table, welded
@@ -75,7 +76,7 @@ def shapes_of(geometries: "Sequence[Geometry]") -> list[Shape]:
     for some in _portions([g for g in dict.fromkeys(geometries) if "shape" not in vars(g)]):
         if any(not len(geometry.faces) for geometry in some):
             raise InputError("mesh: has no faces")
-        for geometry, (shape, welded_faces) in zip(some, _measured(some), strict=True):
+        for geometry, (shape, welded_faces) in zip(some, read_only(_measured(some)), strict=True):
             # What the properties of these names answer from now on.
             vars(geometry).update(shape=shape, welded_faces=welded_faces)
     return [vars(geometry)["shape"] for geometry in geometries]

@@ -123,7 +123,8 @@ def own_weather(weather: Weather) -> OwnWeather | None:
 
 
 def _own_air(own: OwnWeather, wavelength_m: float) -> Air:
-    air = own.air(wavelength_m)
+    with np.errstate():  # what it may set ends with it, as of `OwnFunction`
+        air = own.air(wavelength_m)
     if isinstance(air, Air):
         return air
     raise InputError(

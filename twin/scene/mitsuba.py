@@ -66,7 +66,8 @@ def _texture(reflectance: Reflectance) -> dict[str, Any]:
         # Raw, without hardware lookup: a GPU's bilinear weights have 8 bits.
         return {
             "type": "bitmap",
-            "bitmap": mitsuba().Bitmap(reflectance.image[:, :, None]),
+            # Mitsuba takes no array that is read-only.
+            "bitmap": mitsuba().Bitmap(reflectance.image[:, :, None].copy()),
             "raw": True,
             "filter_type": reflectance.filter_type,
             "wrap_mode": reflectance.wrap_mode,

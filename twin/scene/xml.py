@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.read_only import read_only
 from twin.engine import exr_threads, mitsuba
 from twin.files import InputError
 from twin.scene.markup import check_markup
@@ -245,7 +246,7 @@ class _Reader:
         grey = bitmap.convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False)
         image = np.array(grey, dtype=np.float32).reshape(bitmap.size()[1], bitmap.size()[0])
         return Texture(
-            image,
+            read_only(image),
             str(texture.props.get("filter_type", "bilinear")),
             str(texture.props.get("wrap_mode", "repeat")),
         )

@@ -202,7 +202,7 @@ def outcome_of(study: Study, index: int, inputs: Inputs | None = None) -> Outcom
         if world_in_motion(made.scene, made.system, made.fidelity) is not None:
             # Of each exposure's own time, for this sensor: shared with no other point.
             return capture(made.scene, made.system, seed=made.seed, fidelity=made.fidelity)
-        light = light_of(study, index, made, inputs)
+        light = read_only(light_of(study, index, made, inputs))
         return measure(made.scene, made.system, light, rng=rng, noise=made.fidelity.noise)
 
     def evaluated() -> RadarEvaluation:

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
+from hardware.own_functions import OwnFunction, OwnFunctionError
 from hardware.read_only import cached_read_only
 from hardware.reconstruction import Reconstruction, reconstruct
 from twin.accuracy import Interval, propagated
@@ -27,37 +29,50 @@ from twin.radar.evaluation import RadarEvaluation
 from twin.sweep.inputs import Inputs
 from twin.sweep.setup import Setup
 
+T = TypeVar("T")
 
-class Outcome:
-    """One point's results, each computed when a metric first asks for it. Metrics share them with
-    each other and with other points: all arrays that they hold are read-only.
+
+def _computed(function: Callable[["Outcome"], T]) -> cached_property[T]:
+    """A result of a point, computed once and read-only, with NumPy's floating-point errors handled
+    as before any metric: one that asks may have set them to be raised, where the twin underflows.
     """
 
-    def __init__(
-        self,
-        setup: Setup,
-        capture: Callable[[], Capture],
-        radar: Callable[[], RadarEvaluation],
-    ) -> None:
-        self.setup = setup
-        self._capture, self._radar = capture, radar
+    @wraps(function)
+    def made(outcome: "Outcome") -> T:
+        with np.errstate(**outcome._numpy_errors):
+            return function(outcome)
 
-    @cached_property
+    return cached_read_only(made)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One point's results, each computed when a metric first asks for it. Metrics share them with
+    each other and with other points: they cannot be assigned, and all arrays that they hold are
+    read-only.
+    """
+
+    setup: Setup
+    _capture: Callable[[], Capture]
+    _radar: Callable[[], RadarEvaluation]
+    _numpy_errors: Any = field(default_factory=np.geterr, init=False)
+
+    @_computed
     def capture(self) -> Capture:
         """The camera's record, with what the twin knows about it."""
         return self._capture()
 
-    @cached_read_only
+    @_computed
     def reconstruction(self) -> Reconstruction:
         """The image, by the point's method."""
         return reconstruct(self.capture.record, self.setup.method)
 
-    @cached_property
+    @_computed
     def score(self) -> Score:
         """The image, less backscatter, against the light of the scene."""
         return score_of(self.capture, self.reconstruction.picture)
 
-    @cached_property
+    @_computed
     def radar(self) -> RadarEvaluation:
         """Detections and what they should have been."""
         return self._radar()
@@ -205,18 +220,25 @@ _MEASURES: dict[str, Callable[[Outcome], Interval]] = {
 def metric(name: str, inputs: Inputs) -> Callable[[Outcome], Interval]:
     """A metric by name, or a user's own function of an `Outcome`: ``file.py:function``, a name of
     the entry-point group ``twin.metric``, or an object in a study in Python. Of one that gives a
-    number and no `Interval` the errors are not known, NaN.
+    number and no `Interval` the errors and the noise are not known, NaN.
 
-    Raises InputError for one that can't be found.
+    Raises InputError for one that can't be found; the metric itself OwnFunctionError, with its
+    name, for what it raises, and for a result that is no number.
     """
     if name in _MEASURES:
         return _MEASURES[name]
-    own: Callable[[Outcome], float | Interval] = inputs.get("metric", name)
+    own = OwnFunction(inputs.get("metric", name), name, inputs.digests[f"metric {name}"])
 
     def measured(outcome: Outcome) -> Interval:
         value = own(outcome)
         if isinstance(value, Interval):
             return value
-        return Interval(float(value), math.nan, math.nan)
+        try:
+            number = float(value)
+        except (TypeError, ValueError) as error:
+            raise OwnFunctionError(
+                f"{name}: returned a {type(value).__name__}, expected a number or an Interval"
+            ) from error
+        return Interval(number, math.nan, math.nan, math.nan)
 
     return measured

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.errors import InputError
-from twin.optics.weather import own_weather
+from twin.optics.weather import OwnWeather, own_weather
 from twin.radar.propagation.scene import itu_r
 from twin.radar.propagation.scene.itu_r import Polarization
 from twin.system import Weather
@@ -38,7 +38,7 @@ class Atmosphere:
         if self.weather is None:
             return 0.0
         if (own := own_weather(self.weather)) is not None:
-            return _checked(own.db_per_m(carrier_hz))
+            return _own_db_per_m(own, carrier_hz)
         if not 1e9 <= carrier_hz <= 350e9:
             raise InputError(
                 f"carrier_hz: {carrier_hz:g} is not between 1e9 and 350e9, where the attenuation "
@@ -59,7 +59,7 @@ class Atmosphere:
         if self.weather is None:
             return "air is clear and does not attenuate"
         if (own := own_weather(self.weather)) is not None:
-            decibel = 1e3 * _checked(own.db_per_m(carrier_hz))
+            decibel = 1e3 * _own_db_per_m(own, carrier_hz)
             return f"{type(own).__name__} attenuates by {decibel:.3g} dB/km one way"
         rate = self.weather.rain_mm_per_h
         rain = f"rain of {rate.value:g} mm/h (ITU-R P.838) and " if rate and rate.value else ""
@@ -69,7 +69,9 @@ class Atmosphere:
         )
 
 
-def _checked(db_per_m: object) -> float:
+def _own_db_per_m(own: OwnWeather, carrier_hz: float) -> float:
+    with np.errstate():  # what it may set ends with it, as of `OwnFunction`
+        db_per_m: object = own.db_per_m(carrier_hz)
     if isinstance(db_per_m, Real) and 0 <= (value := float(db_per_m)) < np.inf:
         return value
     raise InputError(
