@@ -11,8 +11,14 @@ half the sum is free of it.
 An echo is in both halves, and subtracting one half would leave half of the echo and its mirror
 image about the leakage. So where the half without phase noise exceeds thermal noise, the powers of
 the cell and its mirror image decide which of them has the echo, and the phase noise is estimated
-from the other one, with its thermal noise; the remaining noise is returned with the result. A
-static echo below the phase noise in its own cell cannot be distinguished from its mirror image:
+from the other one, with its thermal noise; the remaining noise is returned with the result.
+
+The phase noise has the leakage's ratios between the receivers. Combinations of receivers in which
+the leakage cancels are free of it: they show echoes that phase noise hides in the leakage's own
+combination. If those were not kept, a part of them would go in that combination alone, which bends
+their directions away from the one that the leakage seems to come from.
+
+A static echo below the phase noise in its own cell cannot be distinguished from its mirror image:
 half of its amplitude remains on either side.
 """
 
@@ -133,7 +139,7 @@ def without_phase_noise(
     within slots; the noise (n_subcarriers, n_rounds) of every cell of range and rate over that of
     others at its range, None where it is uniform; and the leakage (n_transmitters, n_receivers).
 
-    Beside a strong echo the phase noise is estimated from the mirror image alone, with its thermal
+    Beside an echo the phase noise is estimated from the mirror image alone, with its thermal
     noise.
 
     Parameters
@@ -151,7 +157,7 @@ def without_phase_noise(
     modulus = np.abs(leak)
     unit = (leak / np.where(modulus > 0, modulus, 1.0)).astype(samples.dtype)
     cleaned = samples.copy()
-    spectra, levels = [], []
+    spectra, levels, beside = [], [], []
     for slots in schedule:
         sent = samples[slots]
         level = np.einsum("mrt,t->r", sent, leak.conj().astype(samples.dtype))
@@ -161,7 +167,12 @@ def without_phase_noise(
         relative -= modulus.astype(relative.real.dtype)
         spectra.append(fft2(relative, norm="ortho", workers=-1))
         levels.append(level)
-    noise, more = phase_noise(np.stack(spectra))
+        # Rows that cancel the leakage, with as much thermal noise as its own combination.
+        others = np.linalg.svd(level.conj()[None])[2][1:] * np.linalg.norm(weight)
+        for other in others.astype(samples.dtype):
+            without = np.einsum("mrt,r->mt", sent, other) * unit.conj()
+            beside.append(np.abs(fft2(without, norm="ortho", workers=-1)) ** 2)
+    noise, more = phase_noise(np.stack(spectra), np.stack(beside) if beside else None)
     for slots, level, part in zip(schedule, levels, noise, strict=True):
         within = 1j * ifft2(part, norm="ortho", workers=-1).imag * unit
         cleaned[slots] -= within[:, None] * level[:, None].astype(samples.dtype)
@@ -176,9 +187,12 @@ def without_phase_noise(
     return cleaned, (n_receivers - 1 + more) / n_receivers, leakage
 
 
-def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
+def phase_noise(spectra: Complex, beside_w: Power | None = None) -> tuple[Complex, Array | None]:
     """Least-squares phase noise of spectra (n_transmitters, n_rates, n_ranges), the leakage at
     the origin; the result has N(-k, -v) = -conj N(k, v).
+
+    ``beside_w`` (n, n_rates, n_ranges): power of combinations of receivers without leakage, whose
+    thermal noise is that of the spectra; None of one receiver.
 
     Also the remaining noise of every cell (n_rates, n_ranges), over that of cells at its range
     without an echo; None where there is no echo.
@@ -188,16 +202,16 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     mirrored = -np.roll(spectra[:, ::-1, ::-1], (1, 1), (1, 2)).conj()
     odd, even = (spectra + mirrored) / 2, (spectra - mirrored) / 2
 
-    def level(part: Complex) -> Array:
+    def level(power: Power) -> Array:
         """Mean noise power (n_ranges,), by medians: echoes occupy few rates, strong ones few
         ranges.
         """
-        median = np.median(np.abs(part) ** 2, axis=(0, 1)) / np.log(2)
+        median = np.median(power, axis=(0, 1)) / np.log(2)
         smooth = median_filter(median, min(_SMOOTHED, len(median)), mode="wrap")
         return np.asarray((smooth + np.roll(smooth[::-1], 1)) / 2, dtype=np.float64)
 
-    thermal = 2 * level(even)
-    excess = np.maximum(level(odd) - thermal / 2, 0.0)
+    thermal = 2 * level(np.abs(even) ** 2)
+    excess = np.maximum(level(np.abs(odd) ** 2) - thermal / 2, 0.0)
     thermal = np.maximum(thermal, 1e-300)
     estimate = odd * (excess / (excess + thermal / 2)).astype(odd.real.dtype)
     n = len(spectra)
@@ -207,6 +221,12 @@ def phase_noise(spectra: Complex) -> tuple[Complex, Array | None]:
     expected = excess + thermal
     # Phase noise alone, however high, leaves nothing in the half that is free of it, an echo 1/4.
     certain = np.where((here > _BEYOND * expected) & (both > here / 8), here, 0.0)
+    if beside_w is not None:
+        # Of directions at random an echo has as much power there as in the leakage's combination.
+        usual = np.maximum(level(beside_w), 1e-300)
+        mean = np.mean(beside_w, axis=0, dtype=np.float64)
+        seen = mean > usual * _rare(mean / usual, float(len(beside_w)))
+        certain = np.maximum(certain, np.where(seen, mean - usual, 0.0))
     lobes = _side_lobes(certain)
     opposite = np.roll(lobes[::-1, ::-1], (1, 1), (0, 1))
     suspect = np.maximum(lobes, opposite) > _FAINT * thermal

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.errors import InputError, check_finite
 from hardware.radar.detection import Detection
 from hardware.radar.filtering import (
     AntennaState,
@@ -97,7 +98,7 @@ class Tracker:
         detections
             Of one burst. Those without a range are left out.
         elapsed_s
-            Since the last frame.
+            Since the last frame; InputError where it is negative or not finite.
         pose
             Antenna in the world; default: the origin, looking along x.
         velocity_m_per_s : (2,)
@@ -105,6 +106,9 @@ class Tracker:
         """
         from scipy.optimize import linear_sum_assignment
 
+        check_finite("elapsed_s", elapsed_s)
+        if elapsed_s < 0:
+            raise InputError(f"elapsed_s: {elapsed_s!r:.60} is negative")
         pose = pose or QuaternionPose.from_numbers([0, 0, 0, 1, 0, 0, 0])
         antenna = AntennaState(
             np.asarray(pose.position_m)[:2],

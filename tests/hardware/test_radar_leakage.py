@@ -214,6 +214,27 @@ def test_a_weak_echo_comes_out_of_the_phase_noise() -> None:
     assert all(other.power_w < 0.1 * found[0].power_w for other in found[1:])
 
 
+def test_the_subtraction_bends_no_direction_outward() -> None:
+    """Echoes of 23 dB, 21 degrees aside, moving, phase noise 17 dB over thermal: azimuths are off
+    by -1.1 of their stated errors in the mean of 12, which scatters by 0.5: beyond 1.8 by chance
+    in 7 % of other draws. Single ones are off by up to 3.4: between range cells a part still goes.
+
+    In the leakage's own combination of receivers half of the cells' amplitudes went with the phase
+    noise: -2.6 of their errors, all to the outside, and 0.34 dB of the level.
+    """
+    azimuth, off, level_db = -0.37, [], []
+    for seed in range(12):
+        range_m = 12 + 0.1 * seed
+        place = (range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0.0)
+        record = noisy_leakage([Echo(place, 4e-9, (1.0, 0.0, 0.0))], -60, 7e-3, seed)
+        found = process(record).detections
+        [echo] = [one for one in found if abs(one.range_m - range_m) < 0.2]
+        off.append((echo.azimuth_rad - azimuth) / echo.azimuth_error_rad)
+        level_db.append(10 * np.log10(echo.power_w / 4e-9))
+    assert abs(np.mean(off)) < 1.8
+    assert np.mean(level_db) == pytest.approx(0, abs=0.25)
+
+
 def test_steps_without_leakage_are_joined_as_they_are_and_said_to_be() -> None:
     """Nothing but noise, 12 maps of 25600 cells at 1e-8: a detection by chance once in 300 tests.
 

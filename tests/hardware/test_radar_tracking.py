@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from hardware.errors import InputError
 from hardware.radar.detection import Detection
 from hardware.radar.measurement import standard_errors
 from hardware.radar.tracking import TargetTrack, Tracker
@@ -456,3 +457,15 @@ def test_a_moving_vehicle_sees_standing_targets_stand() -> None:
     track = max(tracker.tracks, key=lambda one: one.hits)
     assert track.hits > 40
     assert nees(track, target) < stats.chi2.ppf(1 - 1e-4, 4)
+
+
+@pytest.mark.parametrize("elapsed_s", [-0.1, np.nan, np.inf])
+def test_time_does_not_run_backwards(elapsed_s: float) -> None:
+    """Such a time made covariances of NaN, or ended tracks, without a word; tracks stay as were."""
+    tracker = Tracker(confirm=1)
+    before = tracker.update(
+        [seen(np.array([20.0, 0, 0, 0]), np.full(3, 0.01), np.random.default_rng(0))], 0.1
+    )
+    with pytest.raises(InputError, match="elapsed_s"):
+        tracker.update([], elapsed_s)
+    assert tracker.tracks == before
