@@ -148,14 +148,14 @@ def on_mirror_borders(
     """Decisions on waves over the borders of mirrors to bodies, which are not computed, the largest
     first; ``left_out`` (n_bodies,) as of `on_round_obstacles`.
     """
+    order = [k for k in np.argsort(-left_out, kind="stable") if left_out[k] > 0][:_NAMED]
     decisions = []
-    for row in np.argsort(-left_out, kind="stable")[:_NAMED]:
-        if left_out[row] > 0:
-            name = label_of(objects[row])
-            effect, at_most = f"waves over borders of mirrors to {name}", float(left_out[row])
-            decisions.append(
-                Decision("radar", effect, at_most, permitted, UNIT, False, cost_s, body=name)
-            )
+    for row in order:
+        name, at_most = label_of(objects[row]), float(left_out[row])
+        effect, cost = f"waves over borders of mirrors to {name}", cost_s / len(order)
+        decisions.append(
+            Decision("radar", effect, at_most, permitted, UNIT, False, cost, body=name)
+        )
     return tuple(decisions)
 
 
