@@ -16,6 +16,7 @@ from tokenize import TokenError
 from typing import IO, TYPE_CHECKING, Any
 
 from hardware.errors import InputError
+from hardware.interruption import signals_deferred
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -125,7 +126,8 @@ def place_beside(path: str | Path) -> Iterator[Path]:
             place = f"{path}{named.removeprefix(hidden)}"
             raise OSError(error.errno, error.strerror, place) from error
         finally:
-            _remove(partial)
+            with signals_deferred():
+                _remove(partial)
 
 
 def expect_writable(path: str | Path) -> None:

@@ -5,7 +5,8 @@ import os
 import signal
 import sys
 import threading
-from types import FrameType
+from collections.abc import Iterator
+from types import CodeType, FrameType
 
 import typer
 
@@ -57,11 +58,11 @@ def main() -> None:
 
     if sys.__stderr__ and not faulthandler.is_enabled():
         faulthandler.enable(sys.__stderr__)  # says where in the twin a library crashed
-    signal.signal(signal.SIGINT, _interrupt)
-    signal.signal(signal.SIGTERM, _interrupt)
     sys.unraisablehook = _again_if_lost
     ended: int | str | None = None
     try:
+        signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGTERM, _interrupt)
         ended = outcome(app, "twin", TwinError)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] in ("twin", "hardware"):
@@ -84,17 +85,29 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
     While a module is being loaded the signal is sent again a little later, for some ten seconds at
     most: an exception that passes through a compiled library's registration aborts the process.
+    One that comes when the command has already ended for an earlier one changes nothing.
     """
     interrupts.append(number)
+    if len(interrupts) > 1 and not _runs_the_command(frame):
+        return
     if len(interrupts) > _MOST_DELAYS or not _loads_a_module(frame):
         raise KeyboardInterrupt
     _send_again(number)
 
 
 def _loads_a_module(frame: FrameType | None) -> bool:
-    while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
+    loader = "<frozen importlib._bootstrap>"
+    return any(code.co_filename == loader for code in _codes(frame))
+
+
+def _runs_the_command(frame: FrameType | None) -> bool:
+    return outcome.__code__ in _codes(frame)
+
+
+def _codes(frame: FrameType | None) -> Iterator[CodeType]:
+    while frame is not None:
+        yield frame.f_code
         frame = frame.f_back
-    return frame is not None
 
 
 def _again_if_lost(lost: "sys.UnraisableHookArgs") -> None:

@@ -458,6 +458,43 @@ def test_ctrl_c_while_a_library_registers_its_types(library: str, tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_second_signal_at_the_end_changes_nothing(tmp_path: Path) -> None:
+    """One when there is something to remove, one while it is removed, one while that is said."""
+    interrupted = (
+        "import os, signal, sys\n"
+        "from hardware import files\n"
+        "from twin.cli import main\n"
+        "from twin.progress import interrupts\n"
+        "mkdir, plain = os.mkdir, files._remove\n"
+        "def making(path, *args):\n"
+        "    mkdir(path, *args)\n"
+        "    if str(path).endswith('.partial'):\n"
+        "        interrupts.append(signal.SIGINT)\n"
+        "os.mkdir = making\n"
+        "def interrupting(path):\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    plain(path)\n"
+        "    assert not os.path.exists(path)\n"
+        "files._remove = interrupting\n"
+        "class Stderr:\n"
+        "    def write(self, text):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        return sys.__stderr__.write(text)\n"
+        "    def __getattr__(self, name):\n"
+        "        return getattr(sys.__stderr__, name)\n"
+        "sys.stderr = Stderr()\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", interrupted, "run", "yard", "--out", str(tmp_path / "out")],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 130, done.stderr
+    assert done.stderr.endswith("twin: interrupted, nothing half-written is left\n")
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_help_is_quick() -> None:
     """Best of five below 0.3 s of the processor: no renderer, no plots, no NumPy behind it."""
     for command in (["-m", "twin", "--help"], ["-c", "import hardware"]):
