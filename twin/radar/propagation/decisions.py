@@ -148,13 +148,49 @@ def on_mirror_borders(
     """Decisions on waves over the borders of mirrors to bodies, which are not computed, the largest
     first; ``left_out`` (n_bodies,) as of `on_round_obstacles`.
     """
-    order = [k for k in np.argsort(-left_out, kind="stable") if left_out[k] > 0][:_NAMED]
+    return _on_waves("waves over borders of mirrors to", objects, left_out, permitted, cost_s)
+
+
+def on_edges_beside(
+    objects: Sequence[tuple[str, ...]], left_out: Array, permitted: float, cost_s: float
+) -> tuple[Decision, ...]:
+    """Likewise on waves round obstacles over mirrors, and to be reflected several times."""
+    effect = "waves round obstacles, over mirrors or reflected several times, to"
+    return _on_waves(effect, objects, left_out, permitted, cost_s)
+
+
+def on_corners(
+    objects: Sequence[tuple[str, ...]],
+    bound: Array,
+    bodies: NDArray[np.bool_],
+    permitted: float,
+    cost_s: float,
+) -> tuple[Decision, ...]:
+    """Decisions on waves round obstacles that some ``bodies`` (n_bodies,) reflect several times;
+    ``bound`` (n_bodies,): what they change, as of `on_round_obstacles`.
+    """
+    taken = np.where(bodies, bound, 0.0)
+    effect = "waves round obstacles, reflected several times by"
+    return _on_waves(effect, objects, taken, permitted, cost_s, is_taken=True)
+
+
+def _on_waves(
+    effect: str,
+    objects: Sequence[tuple[str, ...]],
+    bound: Array,
+    permitted: float,
+    cost_s: float,
+    *,
+    is_taken: bool = False,
+) -> tuple[Decision, ...]:
+    """On waves to some bodies, the largest first."""
+    order = [k for k in np.argsort(-bound, kind="stable") if bound[k] > 0][:_NAMED]
     decisions = []
     for row in order:
-        name, at_most = label_of(objects[row]), float(left_out[row])
-        effect, cost = f"waves over borders of mirrors to {name}", cost_s / len(order)
+        name, at_most, cost = label_of(objects[row]), float(bound[row]), cost_s / len(order)
+        what = f"{effect} {name}"
         decisions.append(
-            Decision("radar", effect, at_most, permitted, UNIT, False, cost, body=name)
+            Decision("radar", what, at_most, permitted, UNIT, is_taken, cost, body=name)
         )
     return tuple(decisions)
 

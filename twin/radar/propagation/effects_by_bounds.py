@@ -15,15 +15,19 @@ from hardware.waveform import OfdmWaveform
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.corner_echoes import CornerEchoes
 from twin.radar.propagation.decisions import (
+    on_corners,
     on_edges,
+    on_edges_beside,
     on_faint_bodies,
     on_mirror_borders,
     on_reflections,
     on_round_obstacles,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
-from twin.radar.propagation.diffraction.over_mirrors import border_levels
+from twin.radar.propagation.diffraction.beside_ways import levels_beside
+from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
 from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
@@ -44,6 +48,7 @@ from twin.radar.propagation.physical_optics import (
     edge_bounds,
     followed_everywhere,
     loss_of,
+    obstacles_of,
 )
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -53,6 +58,10 @@ Array = NDArray[np.float64]
 
 #: Cells of bodies that answer round obstacles' edges, at most.
 MOST_SHADOWED = 1000
+#: Error of echoes by several reflections round obstacles: of what waves change of them, or of what
+#: is left of them.
+_OF_CORNERS = 0.1
+_WORTH = 3.0  # of what is permitted: such echoes of bodies of many facets are followed
 _NOTHING = 1e-6  # of what is permitted: a number of cells is computed however faint
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
 Decided = tuple[tuple[Decision, ...], Array]
@@ -184,7 +193,6 @@ def round_obstacles(
     radar: RadarDesign,
     fidelity: Fidelity,
     levels: BodyLevels,
-    lit: Contributions,
 ) -> RoundObstacles:
     """Of all bodies, or by bounds of those whose echo they may change too much."""
     nothing = np.zeros(len(levels.names))
@@ -199,17 +207,10 @@ def round_obstacles(
         faintest=followed_everywhere(fidelity),
     )
     found = behind(prepared, radar, fidelity, accepted)
-
-    # Echoes over mirrors, which are not followed round obstacles, may change by as much as others.
-    is_direct = (lit.source == 0) & (lit.receiver == 0)
-    changed = levels.rms_of(at_antenna(found.contributions, prepared, radar), radar)
-    straight = np.maximum(levels.rms_of(lit.take(np.flatnonzero(is_direct)), radar), 1e-300)
-    over_mirrors = levels.rms_of(lit.take(np.flatnonzero(~is_direct)), radar)
-    mirrored = np.minimum(changed / straight, 1.0) * over_mirrors
     return RoundObstacles(
         found.contributions,
         found.bound * loss,
-        np.hypot(found.left_out * loss, mirrored),
+        found.left_out * loss,
         int(np.count_nonzero(found.too_large)),
         perf_counter() - began_s,
         most is None,
@@ -238,6 +239,82 @@ def mirror_borders(
     left_out = level / levels.reference
     cost_s = perf_counter() - began_s
     return on_mirror_borders(levels.names, left_out, levels.permitted, cost_s), left_out
+
+
+def corners(
+    found: CornerEchoes, prepared: PreparedScene, radar: RadarDesign, levels: BodyLevels
+) -> Decided:
+    """What waves round obstacles change of echoes by several reflections at a body."""
+    alone = replace(found.alone, amplitude=-found.alone.amplitude)
+    change = Contributions.concatenate([found.echoes, alone])
+    bound, remain = (
+        levels.rms_of(at_antenna(echoes, prepared, radar), radar) / levels.reference
+        for echoes in (change, found.echoes)
+    )
+    left_out = _OF_CORNERS * np.minimum(bound, remain)
+    left_out += 0.5 * remain * np.sqrt(found.hidden / np.maximum(1 - found.hidden, 1e-3))
+    return on_corners(levels.names, bound, found.bodies, levels.permitted, found.cost_s), left_out
+
+
+def worth_following(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+) -> NDArray[np.bool_]:
+    """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
+    a few times what is permitted, (n_bodies,).
+    """
+    is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
+    change = _beside(prepared, radar, fidelity, levels, lit.take(np.flatnonzero(is_direct)))
+    return change > _WORTH * levels.permitted * levels.reference
+
+
+def edges_beside(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    followed: NDArray[np.bool_],
+) -> Decided:
+    """What edges of obstacles may change of echoes that are not followed round these: over mirrors,
+    and by several reflections at bodies other than the ``followed`` ones, (n_bodies,).
+    """
+    is_mirrored = (lit.source > 0) | (lit.receiver > 0)
+    body = levels.of_object[lit.object]
+    rows = np.flatnonzero(is_mirrored | ((lit.bounces > 1) & ~followed[body]))
+    if fidelity.radar_shadowed is not None or not len(rows):
+        return (), np.zeros(len(levels.names))
+    began_s = perf_counter()
+    left_out = _beside(prepared, radar, fidelity, levels, lit.take(rows)) / levels.reference
+    cost_s = perf_counter() - began_s
+    return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
+
+
+def _beside(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    some: Contributions,
+) -> Array:
+    """What waves over edges of obstacles may change of some echoes, in amplitude, (n_bodies,)."""
+    obstacles = obstacles_of(prepared, fidelity, followed_everywhere(fidelity))
+    if obstacles is None or not len(some):
+        return np.zeros(len(levels.names))
+    body = levels.of_object[some.object]
+    ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
+    pairs, number = np.unique(np.stack([np.tile(body, 2), ends], 1), axis=0, return_inverse=True)
+    points = {
+        one: points_of(prepared, np.flatnonzero(levels.of_object == one))
+        for one in np.unique(body).tolist()
+    }
+    waves = levels_beside(obstacles, [(b, image) for b, image in pairs.tolist()], points)
+    out, back = waves[number.reshape(2, -1)]
+    change = some.amplitude * ((1 + out) * (1 + back) - 1)
+    return levels.rms_of(replace(some, amplitude=change), radar)
 
 
 def faint_bodies(

@@ -16,7 +16,7 @@ from twin.radar.propagation.diffraction.behind_obstacles import (
 )
 from twin.radar.propagation.diffraction.edge_bounds import EdgeBound, edge_bound
 from twin.radar.propagation.diffraction.fringes import Sharp, edge_echoes, edges_of
-from twin.radar.propagation.diffraction.screens import screens
+from twin.radar.propagation.diffraction.screens import Screens, screens
 from twin.radar.propagation.facets.body_scattering import scattered_by
 from twin.radar.propagation.facets.earlier import TracedFrame, setting_of
 from twin.radar.propagation.facets.error_budget import bin_m
@@ -221,7 +221,7 @@ def behind(
     """Echoes of bodies by diffracted paths around others."""
     body = _bodies(prepared)
     bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
-    obstacles = screens(prepared, min(fidelity.radar_shadow_db, _DEEPEST_DB), body)
+    obstacles = obstacles_of(prepared, fidelity)
     if obstacles is None or not len(bodies):
         none = np.zeros(len(accepted.limit))
         return RoundObstacles(Contributions.none(), none, none, none > 0)
@@ -231,6 +231,17 @@ def behind(
         return both
 
     return echoes_behind(obstacles, prepared.surface_of_object, bodies, gain, accepted)
+
+
+def obstacles_of(
+    prepared: PreparedScene, fidelity: Fidelity, faintest: float = 0.0
+) -> Screens | None:
+    """What waves go round to bodies, down to the ``faintest`` that is followed; None where no
+    shadows are asked for.
+    """
+    deepest_db = min(fidelity.radar_shadow_db, _DEEPEST_DB)
+    found = screens(prepared, deepest_db, _bodies(prepared))
+    return found and replace(found, faintest=max(found.faintest, faintest))
 
 
 def followed_everywhere(fidelity: Fidelity) -> float:

@@ -9,16 +9,20 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.corner_echoes import corner_echoes
 from twin.radar.propagation.diffraction.corners import longest_m
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens, screens
 from twin.radar.propagation.effects_by_bounds import (
     body_levels,
+    corners,
+    edges_beside,
     faint_bodies,
     further_reflections,
     mirror_borders,
     round_obstacles,
     sharp_edges,
+    worth_following,
 )
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.earlier import TracedFrame
@@ -98,9 +102,18 @@ def echoes(
         keep=keep,
         followed_s=followed_s,
     )
-    lit = at_antenna(of_bodies.contributions, prepared, radar)
+    body, traced = of_bodies.body, of_bodies.contributions
+    lit = at_antenna(traced, prepared, radar)
+    by_rays = body_levels(prepared, radar, fidelity, of_bodies, lit)
+    worth = worth_following(prepared, radar, fidelity, by_rays, lit)
+    of_corners = corner_echoes(
+        scene, roles, prepared, radar, fidelity, body, traced, worth, followed_s
+    )
+    if len(of_corners.replaced) or len(of_corners.echoes):
+        rest = lit.take(np.delete(np.arange(len(lit)), of_corners.replaced))
+        lit = Contributions.concatenate([rest, at_antenna(of_corners.echoes, prepared, radar)])
     behind = round_obstacles(
-        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit), lit
+        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit)
     )
     shadowed = at_antenna(behind.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
@@ -111,6 +124,8 @@ def echoes(
         further_reflections(levels, fidelity, of_bodies.choice, radar),
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
         behind.decided_by(levels),
+        corners(of_corners, prepared, radar, levels),
+        edges_beside(prepared, radar, fidelity, levels, lit, of_corners.bodies),
         mirror_borders(prepared, radar, fidelity, levels, lit),
     ):
         decisions += decided

@@ -49,6 +49,8 @@ class Contributions(Described):
         Exponents of the frequency dependence, see above; few different values each.
     object, first : (n,)
         Numbers of the last object on the path, and of the first facet.
+    bounces : (n,)
+        Reflections at bodies' surfaces, where these are echoes of facets.
     source, receiver : (n,)
         Numbers of the images of the forward and of the return path.
 
@@ -71,13 +73,14 @@ class Contributions(Described):
     source: Numbers = None  # type: ignore[assignment]
     receiver: Numbers = None  # type: ignore[assignment]
     first: Numbers = None  # type: ignore[assignment]
+    bounces: Numbers = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = len(self.delay_s)
         for field in fields(self)[6:]:
             if getattr(self, field.name) is None:
                 shape = (n, 3) if field.name in ("departure_per_s", "arrival_per_s") else (n,)
-                is_number = field.name in ("object", "source", "receiver", "first")
+                is_number = field.name in ("object", "source", "receiver", "first", "bounces")
                 zeros = np.zeros(shape, np.uint32 if is_number else np.float64)
                 object.__setattr__(self, field.name, zeros)
 

@@ -74,6 +74,13 @@ class AllPaths(NamedTuple):
     point: Indices
     diffracted: DiffractedPaths | None
 
+    def over(self, straight: PointPaths) -> NDArray[np.complex128]:
+        """Their waves over the straight ones to all points, without what they are longer by."""
+        field = straight.field[self.point]
+        power = np.sum(np.abs(field) ** 2, axis=1)
+        share: NDArray[np.complex128] = np.sum(self.paths.field * field.conj(), axis=1)
+        return share / np.where(power > 0, power, 1.0)
+
 
 def all_paths_to_points(
     context: TracingContext,

@@ -71,6 +71,18 @@ def first_between(prepared: PreparedScene, begin: Array, end: Array) -> Indices:
     return np.where(is_met, objects[np.where(is_met, face, 0)], NOTHING)
 
 
+def distances_to(prepared: PreparedScene, begin: Array, direction: Array) -> Array:
+    """From a place along unit vectors (n, 3) to what is first met, in m, (n,); inf: nothing."""
+    if not len(direction):
+        return np.zeros(0)
+    mi = prepared.context.mi
+    begin = np.broadcast_to(begin, direction.shape)
+    ray = mi.Ray3f(vector(mi, begin, "Point3f"), vector(mi, direction, "Vector3f"))
+    hit = prepared.world.scene.ray_intersect_preliminary(ray)
+    is_met, distance_m = host([hit.is_valid(), hit.t], len(direction))
+    return np.where(is_met, distance_m, np.inf)
+
+
 def first_hit(prepared: PreparedScene, places: Array, off: Array, source: Array) -> Indices:
     """Number of the object that rays from points (n, 3) to a source first meet, (n,); -1: none."""
     return first_between(prepared, places + off, np.broadcast_to(source, places.shape))

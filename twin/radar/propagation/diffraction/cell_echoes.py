@@ -101,11 +101,10 @@ def _ways(
     """Of which at least one path is over an edge; and which cells are in the light, (n_cells,)."""
     own = np.full(len(place), body)
     context, source = obstacles.prepared.context, obstacles.prepared.images[0].place
-    paths, at, diffracted = all_paths_to_points(context, obstacles, 0, place, off, own)
+    found = all_paths_to_points(context, obstacles, 0, place, off, own)
+    paths, at, diffracted = found
     bends = Bends.of(source, place[at], diffracted, obstacles.wavenumber)
-    field = straight.field[at]
-    power = np.sum(np.abs(field) ** 2, axis=1)
-    share = np.sum(paths.field * field.conj(), axis=1) / np.where(power > 0, power, 1.0)
+    share = found.over(straight)
     one, other = matching_pairs(at, at)
     one, other = one[one <= other], other[one <= other]
     two_way = share[one] * share[other]

@@ -29,7 +29,7 @@ def border_levels(
     ``of_object``: every object's body, or -1.
     """
     levels = np.zeros((count, len(prepared.images)))
-    points = [_points(prepared, np.flatnonzero(of_object == body)) for body in range(count)]
+    points = [points_of(prepared, np.flatnonzero(of_object == body)) for body in range(count)]
     size = np.cumsum([0, *map(len, points)])
     every = np.concatenate([np.zeros((0, 3)), *points])
     wavenumber = 2 * np.pi / prepared.wavelength_m
@@ -45,7 +45,7 @@ def border_levels(
     return levels
 
 
-def _points(prepared: PreparedScene, members: NDArray[np.intp]) -> Array:
+def points_of(prepared: PreparedScene, members: NDArray[np.intp]) -> Array:
     """Centroids of faces of some objects, (n, 3), as many of one as of another."""
     points = []
     for item in (prepared.originals[member] for member in members):

@@ -89,28 +89,36 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
 
 
 def are_beside(
-    obstacles: Screens, others: Indices, direct: Array, radius: Array
+    obstacles: Screens,
+    others: Indices,
+    direct: Array,
+    radius: Array,
+    source: Array | None = None,
 ) -> NDArray[np.bool_]:
     """Whether paths round the bounding spheres of obstacles may be followed to cells at the ends of
-    vectors (n_cells, 3), (n_cells, n).
+    vectors (n_cells, 3) from a ``source``, the radar itself by default, (n_cells, n).
     """
+    towards = obstacles.centers[others]
+    towards = towards - (obstacles.prepared.images[0].place if source is None else source)
     step = max(_MOST_PAIRS // max(len(others), 1), 1)
     rows = np.split(np.arange(len(direct)), range(step, len(direct), step))
     deepest = np.sqrt(farthest(obstacles.faintest))
-    parts = [_gaps(obstacles, others, direct[some], radius[some]) <= deepest for some in rows]
+    size, k = obstacles.radii[others], obstacles.wavenumber
+    parts = [_gaps(towards, size, direct[some], radius[some], k) <= deepest for some in rows]
     return np.concatenate(parts)
 
 
-def _gaps(obstacles: Screens, others: Indices, direct: Array, radius: Array) -> Array:
-    """Root of q of a path round the bounding sphere of each obstacle, at least, (n_cells, n)."""
-    towards = obstacles.centers[others] - obstacles.prepared.images[0].place
+def _gaps(towards: Array, size: Array, direct: Array, radius: Array, wavenumber: float) -> Array:
+    """Root of q of a path round the bounding sphere of each obstacle, at vectors (n, 3) and of
+    radii (n,), at least, (n_cells, n).
+    """
     length = np.linalg.norm(direct, axis=1)[:, None]
     forward = direct @ towards.T / length
     along = np.clip(forward, 0, length)
     square = np.sum(towards**2, axis=1) - 2 * along * forward + along**2
     share = np.clip(along / length, 1e-6, 1.0)
-    gap = np.sqrt(np.maximum(square, 0)) - obstacles.radii[others] - radius[:, None] * share
-    bend = obstacles.wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
+    gap = np.sqrt(np.maximum(square, 0)) - size - radius[:, None] * share
+    bend = wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
     root_q: Array = np.sqrt(bend) * np.maximum(gap, 0)
     return root_q
 

@@ -125,6 +125,7 @@ def _contributions(
         arrival_per_s=columns[1],
         falloff=terms.falloff,
         first=lit.first,
+        bounces=lit.bounces.astype(np.uint32),
     )
     if context.walls is not None:
         alike = (one.source == one.receiver) & (lit.waves is None)

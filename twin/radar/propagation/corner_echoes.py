@@ -1,0 +1,265 @@
+"""Echoes of bodies by several reflections at them, as of corner reflectors, round obstacles.
+
+What a corner reflector returns leaves it beside where it came in. So its echo is traced as if
+nothing stood before it, and every part of that times the field over the straight wave, direct and
+over the edges of obstacles, at the place where the path meets the body first and at that where it
+leaves it last: T(in) T(out). These replace echoes with hard shadows. It holds as far as waves over
+edges, which come a little from aside, go the same way within the body as straight ones.
+
+Bodies of many facets are not traced again: the echoes that are there with hard shadows are taken,
+and what is missing for the share that is hidden is in the stated error. Echoes of one reflection
+are found elsewhere (`diffraction.behind_obstacles`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import speed_of_light
+
+from twin.fidelity import Fidelity
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.diffraction.around_edges import is_near_edges
+from twin.radar.propagation.diffraction.blocking import distances_to, first_hit
+from twin.radar.propagation.diffraction.passed_waves import BIN_M, waves_past
+from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.shadowed_facets import front_facets
+from twin.radar.propagation.diffraction.two_way_echoes import sums
+from twin.radar.propagation.one_way.path import offset_m
+from twin.radar.propagation.physical_optics import followed_everywhere, obstacles_of, scattered
+from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.rows import phasors
+from twin.radar.propagation.scene.scattering_models import Assignment
+from twin.radar.synthesis import Contributions
+from twin.scene import Scene
+from twin.scene.boxes import boxes_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Of bodies that are traced once more, alone; and paths of others that are followed.
+MOST_FACES, MOST_PATHS = 2000, 2**18
+_FACETS = 512  # of a body, about, that are looked at for how much of it is hidden
+_SAME_M = 1e-6  # places closer than that are one
+_RATE_M_PER_S = 0.02  # of lengths, by which echoes that are joined differ at most
+_FAINT_PAIRS = 0.02  # of the faintest single wave: pairs of waves
+
+
+class CornerEchoes(NamedTuple):
+    """Echoes without gains and losses; the same as if nothing stood before the bodies, ``alone``;
+    traced echoes that they replace, by number; the ``bodies`` that are followed, (n_bodies,), and
+    the time that they took.
+    """
+
+    echoes: Contributions
+    alone: Contributions
+    replaced: Indices
+    bodies: NDArray[np.bool_]
+    hidden: Array
+    cost_s: float
+
+
+def corner_echoes(
+    scene: Scene,
+    roles: Sequence[Assignment],
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    body: NDArray[np.int32],
+    traced: Contributions,
+    worth: NDArray[np.bool_],
+    followed_s: float | None,
+) -> CornerEchoes:
+    """Of bodies that edges of others stand before, or near the way to.
+
+    ``body``: of every object, -1 for none; ``traced``: echoes with hard shadows; ``worth``: which
+    of the bodies of many facets are followed, (n_bodies,); ``followed_s``: as of `solvers.trace`.
+    """
+    began_s = perf_counter()
+    obstacles = obstacles_of(prepared, fidelity, followed_everywhere(fidelity))
+    is_small = _are_small(prepared, body)
+    is_followed, hidden = np.zeros(len(is_small), dtype=bool), np.zeros(len(is_small))
+    parts, alone = [Contributions.none()], [Contributions.none()]
+    is_direct = (traced.bounces > 1) & (traced.source == 0) & (traced.receiver == 0)
+    rows = np.flatnonzero(is_direct)
+    owner = body[traced.object[rows]]
+    is_own = (owner >= 0) & (body[prepared.world.object_of_face[traced.first[rows]]] == owner)
+    rows, owner = rows[is_own], owner[is_own]
+    if obstacles is not None and fidelity.radar_bounces != 1 and fidelity.radar_shadowed != 0:
+        for number in _near_edges(prepared, obstacles, body):
+            own = rows[owner == number]
+            if is_small[number]:
+                found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
+            elif worth[number] and len(own) <= MOST_PATHS:
+                found = _Alone.of(prepared, traced.take(own))
+                hidden[number] = _hidden(obstacles, number)
+            else:
+                continue
+            is_followed[number] = True
+            if len(found.echoes):
+                alone.append(found.echoes)
+                parts.append(_passing(obstacles, found, number))
+    return CornerEchoes(
+        Contributions.concatenate(parts),
+        Contributions.concatenate(alone),
+        rows[is_followed[owner]],
+        is_followed,
+        hidden,
+        perf_counter() - began_s,
+    )
+
+
+def _are_small(prepared: PreparedScene, body: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Bodies of few facets that may reflect to one another, and that the radar may see directly,
+    (n_bodies,).
+    """
+    count = int(body.max(initial=-1)) + 1
+    faces, parts = np.zeros((2, count), dtype=np.int64)
+    for number in np.flatnonzero((body >= 0) & prepared.worth[0]).tolist():
+        geometry = prepared.items[number].geometry
+        faces[body[number]] += len(geometry.faces)
+        parts[body[number]] += 1 if geometry.shape.is_convex else 2
+    return (parts > 1) & (faces <= MOST_FACES)
+
+
+def _near_edges(
+    prepared: PreparedScene, obstacles: Screens, body: NDArray[np.int32]
+) -> Iterator[int]:
+    """Bodies that the radar may see directly, and to which waves over edges may lead."""
+    for number in np.unique(body[(body >= 0) & prepared.worth[0]]).tolist():
+        boxes = boxes_of([prepared.originals[item] for item in np.flatnonzero(body == number)])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        middle, radius_m = (
+            (low + high) / 2 - prepared.anchor_m,
+            float(np.linalg.norm(high - low)) / 2,
+        )
+        if is_near_edges(obstacles, prepared.images[0], middle, radius_m, number):
+            yield number
+
+
+def _hidden(obstacles: Screens, body: int) -> float:
+    """Of a body's facets that face the radar the share that others hide."""
+    prepared = obstacles.prepared
+    facets, source = front_facets(obstacles, body), prepared.images[0].place
+    if not len(facets):
+        return 0.0
+    facets = facets.take(np.arange(0, len(facets), max(1, len(facets) // _FACETS)))
+    off = offset_m(facets.middle) * facets.normal(source)
+    hit = first_hit(prepared, facets.middle, off, source)
+    by = np.where(hit < 0, -1, obstacles.body[np.maximum(hit, 0)])
+    is_shown = (hit < 0) | (by != body)
+    return float(np.mean(hit[is_shown] >= 0)) if is_shown.any() else 0.0
+
+
+class _Alone(NamedTuple):
+    """Echoes of a body as if nothing stood before it, and the places, relative to the anchor, where
+    their paths meet it first and leave it last, (2, n, 3).
+    """
+
+    echoes: Contributions
+    places: Array
+
+    @staticmethod
+    def of(prepared: PreparedScene, echoes: Contributions) -> "_Alone":
+        """Of direct echoes of a scene."""
+        here, half_m = prepared.images[0].place, echoes.delay_s * speed_of_light / 2
+        places = []
+        for direction in (echoes.departure, echoes.arrival):
+            distance_m = distances_to(prepared, here, direction)
+            distance_m = np.where(np.isfinite(distance_m), distance_m, half_m)
+            places.append(here + distance_m[:, None] * direction)
+        return _Alone(echoes, np.stack(places))
+
+
+def _alone(
+    scene: Scene,
+    roles: Sequence[Assignment],
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    of_object: NDArray[np.int32],
+    body: int,
+    followed_s: float | None,
+) -> _Alone:
+    """Of several reflections, with the walls that the radar sees through."""
+    walls = prepared.originals[len(prepared.world.face_ranges) :]
+    members = [prepared.items[item] for item in np.flatnonzero(of_object == body)]
+    names = {item.name for item in (*members, *walls)}
+    alone = prepare_scene(
+        replace(scene, objects=tuple(item for item in scene.objects if item.name in names)),
+        radar,
+        [role for role in roles if role.name in names],
+        0,
+    )
+    found = scattered(alone, radar, fidelity, followed_s=followed_s).contributions
+    found = found.take(np.flatnonzero(found.bounces > 1))
+    number = {item.name: row for row, item in enumerate(prepared.items)}
+    whole = np.array([number[item.name] for item in alone.items], dtype=np.uint32)
+    places = _Alone.of(alone, found).places
+    return _Alone(replace(found, object=whole[found.object]), places)
+
+
+def _passing(obstacles: Screens, alone: _Alone, body: int) -> Contributions:
+    """The same echoes by all ways, direct ones and over edges, to the places and back."""
+    every = alone.places.reshape(-1, 3)
+    _, row, number = np.unique(
+        np.round(every / _SAME_M), axis=0, return_index=True, return_inverse=True
+    )
+    there, again = number.reshape(2, -1)
+    passed, echoes = waves_past(obstacles, every[row], body), alone.echoes
+    strongest = np.abs(passed.wave).max(axis=1)
+    least, lengths = _FAINT_PAIRS * strongest[there] * strongest[again], passed.wave.shape[1]
+    parts, cells, n_cells = [], [], int(passed.cell.max(initial=0)) + 1
+    for bins in range(2 * lengths - 1):
+        wave, weight, rate = np.zeros(len(echoes), dtype=np.complex128), *np.zeros((2, len(echoes)))
+        for i in range(max(0, bins - lengths + 1), min(bins + 1, lengths)):
+            both = passed.wave[there, i] * passed.wave[again, bins - i]
+            size = np.abs(both)
+            wave += both
+            weight += size
+            rate += size * (passed.rate_m_per_s[there, i] + passed.rate_m_per_s[again, bins - i])
+        some = np.flatnonzero(np.abs(wave) > least)
+        longer_m, faster = bins * BIN_M, rate[some] / weight[some]
+        one = echoes.take(some)
+        parts.append(
+            replace(
+                one,
+                amplitude=one.amplitude * wave[some],
+                delay_s=one.delay_s + longer_m / speed_of_light,
+                delay_rate=one.delay_rate + faster / speed_of_light,
+                departure=passed.departure[there[some]],
+                arrival=passed.departure[again[some]],
+            )
+        )
+        cells.append(passed.cell[there[some]] * n_cells + passed.cell[again[some]])
+    found = Contributions.concatenate(parts)
+    return _joined(found, np.concatenate(cells), obstacles.wavenumber) if len(found) else found
+
+
+def _joined(echoes: Contributions, cells: Indices, wavenumber: float) -> Contributions:
+    """Those between the same cells, and of nearly the same length and rate, as one: each is divided
+    between the two lengths beside its own, as in `waves_past`.
+    """
+    length_m, rate = echoes.delay_s * speed_of_light, echoes.delay_rate * speed_of_light
+    lower = np.floor(length_m / BIN_M).astype(np.int64)
+    alike = cells
+    for values in (echoes.falloff, rate / _RATE_M_PER_S):
+        steps = np.round(values).astype(np.int64)
+        alike = alike * (int(np.ptp(steps)) + 1) + steps - steps.min()
+    alike = np.unique(alike, return_inverse=True)[1]
+    upper = length_m / BIN_M - lower
+    keys, share = np.concatenate([lower, lower + 1]), np.concatenate([1 - upper, upper])
+    row = np.tile(np.arange(len(echoes)), 2)
+    amplitude = echoes.amplitude[row] * share
+    amplitude *= phasors(wavenumber * (keys * BIN_M - length_m[row]))
+    first = int(keys.min())
+    number = alike[row] * (int(keys.max()) - first + 1) + keys - first
+    _, least, owner = np.unique(number, return_index=True, return_inverse=True)
+    return replace(
+        echoes.take(row[least]),
+        amplitude=sums(owner.reshape(-1), amplitude, len(least)),
+        delay_s=keys[least] * BIN_M / speed_of_light,
+    )

@@ -1,0 +1,77 @@
+"""How much waves over edges of obstacles may change waves to bodies by ways that are not followed
+round obstacles: over mirrors, and to facets that reflect more than once.
+
+Of each body, image of the radar and leg of the way, between two mirrors or before the first or
+behind the last: the knife-edge factors of the nearest edges of each obstacle, by geometry alone, as
+independent waves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.shadow_bounds import are_beside, level_beside
+from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.scene.images import Image, mirrored
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def levels_beside(
+    obstacles: Screens, pairs: Sequence[tuple[int, int]], points: dict[int, Array]
+) -> Array:
+    """Of the waves over edges of others than a body to its ``points`` (n, 3), over the straight
+    ones, rms over the body, for pairs of a body and an image, by their numbers, (n_pairs,).
+    """
+    levels = np.zeros(len(pairs))
+    for row, (body, number) in enumerate(pairs):
+        image, square = obstacles.prepared.images[number], np.zeros(len(points[body]))
+        for leg in range(len(image.places)):
+            square += _on_leg(obstacles, image, leg, body, points[body])
+        levels[row] = np.sqrt(np.mean(square)) if len(square) else 0.0
+    return levels
+
+
+def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array) -> Array:
+    """Sum of squares to each of the points, (n,)."""
+    prepared, source = obstacles.prepared, image.places[leg]
+    for patch in image.patches[leg:][::-1]:
+        points = mirrored(points, prepared.flats[patch])
+    direct, square = points - source, np.zeros(len(points))
+    mirrors = prepared.flats.object[list(image.patches)]
+    others = np.setdiff1d(np.flatnonzero(obstacles.body != body), mirrors)
+    if not len(others) or not len(points):
+        return square
+    beside = are_beside(obstacles, others, direct, np.zeros(len(points)), source)
+    near = others[beside.any(axis=0)]
+    owner = np.where(obstacles.body[near] >= 0, obstacles.body[near], -1 - near)
+    reach_m = float(np.mean(np.linalg.norm(direct, axis=1)))
+    for number in np.unique(owner):
+        members = near[owner == number].tolist()
+        rim = _together([obstacles.rim(item, source, reach_m, body) for item in members])
+        rim = _between_mirrors(obstacles, image, leg, rim)
+        if len(rim.ends):
+            square += level_beside(rim, direct, obstacles.wavenumber) ** 2
+    return square
+
+
+def _between_mirrors(obstacles: Screens, image: Image, leg: int, rim: Outline) -> Outline:
+    """Edges before the mirror that ends a leg and behind that at which it begins."""
+    source, flats = image.places[leg], obstacles.prepared.flats
+    middle = rim.ends.mean(axis=1) + source
+    is_there = np.ones(len(middle), dtype=bool)
+    for patch, side in ((leg - 1, -1), (leg, 1)):
+        if 0 <= patch < len(image.patches):
+            flat = flats[image.patches[patch]]
+            heights = (middle - flat.point) @ flat.normal
+            is_there &= side * heights * ((source - flat.point) @ flat.normal) > 0
+    return rim.take(np.flatnonzero(is_there))
+
+
+def _together(rims: Sequence[Outline]) -> Outline:
+    columns = ([getattr(rim, f.name) for rim in rims] for f in fields(Outline))
+    return Outline(*(np.concatenate(column) for column in columns))
