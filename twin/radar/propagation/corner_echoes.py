@@ -43,6 +43,7 @@ Indices = NDArray[np.int64]
 #: Of bodies that are traced once more, alone; and paths of others that are followed.
 MOST_FACES, MOST_PATHS = 2000, 2**18
 _FACETS = 512  # of a body, about, that are looked at for how much of it is hidden
+_LATER_S = 1e-11  # than the last echo of a body: 3 mm
 _SAME_M = 1e-6  # places closer than that are one
 _RATE_M_PER_S = 0.02  # of lengths, by which echoes that are joined differ at most
 _FAINT_PAIRS = 0.02  # of the faintest single wave: pairs of waves
@@ -88,24 +89,28 @@ def corner_echoes(
     owner = body[traced.object[rows]]
     is_own = (owner >= 0) & (body[prepared.world.object_of_face[traced.first[rows]]] == owner)
     rows, owner = rows[is_own], owner[is_own]
+    replaced = [rows[:0]]
     if obstacles is not None and fidelity.radar_bounces != 1 and fidelity.radar_shadowed != 0:
         for number in _near_edges(prepared, obstacles, body):
             own = rows[owner == number]
             if is_small[number]:
                 found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
+                # Longer than any of its own are those by way of other bodies.
+                own = own[traced.delay_s[own] <= found.echoes.delay_s.max(initial=0.0) + _LATER_S]
             elif worth[number] and len(own) <= MOST_PATHS:
                 found = _Alone.of(prepared, traced.take(own))
                 hidden[number] = _hidden(obstacles, number)
             else:
                 continue
             is_followed[number] = True
+            replaced.append(own)
             if len(found.echoes):
                 alone.append(found.echoes)
                 parts.append(_passing(obstacles, found, number))
     return CornerEchoes(
         Contributions.concatenate(parts),
         Contributions.concatenate(alone),
-        rows[is_followed[owner]],
+        np.concatenate(replaced),
         is_followed,
         hidden,
         perf_counter() - began_s,
