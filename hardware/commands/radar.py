@@ -225,11 +225,14 @@ def spectrogram(
         _, channel, waveform = next(intervals)
         seen = spectrogram_of(channel, waveform, at, window_slots, span_m=span)
         which = f"burst {wanted}"
-    ridge = seen.range_rate_m_per_s[seen.power_w.argmax(axis=0)]
+    ridge = seen.ridge_m_per_s
     peak_dbm = 10 * np.log10(1e3 * seen.power_w.max()) if seen.power_w.any() else -np.inf
-    least, most = (ridge.min(), ridge.max()) if seen.shows_echo else (np.nan, np.nan)
+    heard = ridge[np.isfinite(ridge)]
+    least, most = (heard.min(), heard.max()) if len(heard) else (np.nan, np.nan)
     shown = f"the strongest range rate goes from {least:+.3f} to {most:+.3f} m/s"
-    if not seen.shows_echo:
+    if len(heard) < len(ridge):
+        shown += f" in {len(heard)} of {len(ridge)} windows, the others show no echo"
+    if not len(heard):
         chance = f"in {100 * FALSE_ALARM:g} % of spectrograms at most noise alone is stronger"
         shown = f"no echo is above the noise ({chance})"
     say.verdict(f"{record}: {which}: at {si(at, 'm')} {shown}; peak {peak_dbm:.1f} dBm")

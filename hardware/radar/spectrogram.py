@@ -6,7 +6,7 @@ in Radar, 2nd ed., 2019, ch. 2).
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +21,7 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 Array = NDArray[np.float64]
 
 _PER_INTERVAL = 8  # windows side by side in an interval, by default
+_OF_MEDIAN = np.log(2) ** 2  # variance of exponential values' mean over that of their median
 _FINER = 4  # rates per resolution cell of a window
 #: Share of spectrograms of noise alone that seem to show an echo, at most.
 FALSE_ALARM = 0.01
@@ -35,7 +36,8 @@ class Spectrogram:
     within what slots can tell apart. ``time_s`` (n_times,): middles of windows, from the interval's
     middle on, or from the first interval's. ``range_m`` is that at which it was taken, first.
     ``noise_w`` (n_times,): mean noise of a cell, by the median of the interval's range-Doppler map;
-    ``n_ranges`` of which a cell has the strongest.
+    ``n_ranges`` of which a cell has the strongest; ``noise_cells``: independent cells by which that
+    noise is known.
     """
 
     power_w: Array
@@ -44,14 +46,31 @@ class Spectrogram:
     range_m: float
     noise_w: Array
     n_ranges: int = 1
+    noise_cells: float = np.inf
+
+    @property
+    def threshold_w(self) -> Array:
+        """What white noise alone exceeds anywhere in `FALSE_ALARM` of all spectrograms at most,
+        (n_times,): the chances of all cells added up, of which each is exponential, over a mean
+        that is known by K cells: (1 + t / K)^-K.
+        """
+        fewest = np.log(self.power_w.size * self.n_ranges / FALSE_ALARM)
+        over_mean = fewest
+        if np.isfinite(self.noise_cells):
+            over_mean = self.noise_cells * np.expm1(fewest / self.noise_cells)
+        return np.asarray(over_mean * self.noise_w)
+
+    @property
+    def ridge_m_per_s(self) -> Array:
+        """The strongest range rate of each window, NaN where it shows no echo, (n_times,)."""
+        strongest = self.power_w.argmax(axis=0)
+        shows = self.power_w.max(axis=0) > self.threshold_w
+        return np.where(shows, self.range_rate_m_per_s[strongest], np.nan)
 
     @property
     def shows_echo(self) -> bool:
-        """Whether a cell is above what white noise alone reaches anywhere, in `FALSE_ALARM` of all
-        spectrograms at most: the chances of all cells, exponential each, added up.
-        """
-        above_mean = np.log(self.power_w.size * self.n_ranges / FALSE_ALARM)
-        return bool((self.power_w > above_mean * self.noise_w).any())
+        """Whether any cell is above the `threshold_w`."""
+        return bool((self.power_w > self.threshold_w).any())
 
 
 def spectrogram(
@@ -117,16 +136,23 @@ def spectrogram(
     power = (np.fft.fftshift(strongest, axes=0) / length) ** 2
     middle: Array = np.arange(first, last, dtype=np.float64) + (length - 1) / 2 - length // 2
     time_s: Array = (middle - (slots - 1) / 2) * waveform.slot_period_s
-    noise_w = np.full(len(time_s), _noise_w(channel, waveform, taper, window))
-    return Spectrogram(power[::-1], rate[::-1], time_s, range_m, noise_w, len(at_ranges))
+    noise_w, cells = _noise_w(channel, waveform, taper, window)
+    noise = np.full(len(time_s), noise_w)
+    return Spectrogram(power[::-1], rate[::-1], time_s, range_m, noise, len(at_ranges), cells)
 
 
-def _noise_w(channel: Complex, waveform: OfdmWaveform, taper: Array, window: Array) -> float:
-    """Mean noise of a cell at one range: that of a range-Doppler map, by both windows' gains."""
+def _noise_w(
+    channel: Complex, waveform: OfdmWaveform, taper: Array, window: Array
+) -> tuple[float, float]:
+    """Mean noise of a cell at one range: that of a range-Doppler map, by both windows' gains; and
+    by how many cells it is known: a median is as sure as the mean of `_OF_MEDIAN` as many.
+    """
     name, shape = "blackmanharris", channel.shape
-    white_w = range_doppler(channel, waveform, name).noise_w / noise_gain(name, shape)
+    gain = noise_gain(name, shape)
+    white_w = range_doppler(channel, waveform, name).noise_w / gain
     shorter = shape[1] / len(window)
-    return float(white_w * np.mean(taper**2) * np.mean(window**2) * shorter)
+    noise_w = float(white_w * np.mean(taper**2) * np.mean(window**2) * shorter)
+    return noise_w, _OF_MEDIAN * channel.size / gain
 
 
 def _ranges(range_m: float, span_m: float, waveform: OfdmWaveform) -> Array:
@@ -176,5 +202,5 @@ def spectrogram_of_intervals(
     power: Array = np.concatenate([seen.power_w for seen in spectra], axis=1)
     since_first: Array = np.array(times) - times[0]
     noise: Array = np.concatenate([seen.noise_w for seen in spectra])
-    rates, n_ranges = spectra[0].range_rate_m_per_s, spectra[0].n_ranges
-    return Spectrogram(power, rates, since_first, range_m, noise, n_ranges)
+    one = spectra[0]
+    return replace(one, power_w=power, time_s=since_first, range_m=range_m, noise_w=noise)

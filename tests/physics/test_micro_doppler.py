@@ -10,7 +10,7 @@ from tests.physics.radar_worlds import OPTICS, RADAR, ball, thing, world
 from twin.motion import Product, Rolling, Straight, Turning
 from twin.radar.acquisition import radar_capture
 from twin.radar.evaluation import RadarEvaluation, evaluate_radar
-from twin.report.radar_charts import micro_doppler_charts
+from twin.report.radar_charts import micro_doppler_charts, micro_doppler_title
 from twin.report.radar_figures import micro_doppler as drawn
 from twin.report.summary import radar_figures
 from twin.scene import Scene, SceneObject, Target
@@ -86,3 +86,25 @@ def test_what_goes_straight_or_turns_too_slowly_has_none() -> None:
         assert seen_in(scene).micro_doppler == ()
     assert seen_in(world(item, targets=(target,))).micro_doppler == ()
     assert seen_in(world()).micro_doppler == ()
+
+
+@pytest.mark.parametrize("level", [0.0, 3e-3])
+def test_the_noise_is_not_heard(rolling: RadarEvaluation, level: float) -> None:
+    """The wheel's spectrogram within noise: all of it, and a tenth of the strongest's amplitude."""
+    (body,) = rolling.micro_doppler
+    rng, shape = np.random.default_rng(2), body.seen.power_w.shape
+    top_w = float(body.seen.power_w.mean(axis=1).max())
+    noise_w = rng.exponential(1e-3 * top_w, shape)
+    power = body.seen.power_w * (level > 0) + noise_w
+    noisy = replace(
+        body, seen=replace(body.seen, power_w=power, noise_w=np.full(shape[1], 1e-3 * top_w))
+    )
+    low, high = noisy.heard_m_per_s
+    if level:
+        assert body.least_m_per_s - 1 < low < high < body.greatest_m_per_s + 1
+        assert 10 < noisy.depth_db < 25
+        assert "down to the noise" in micro_doppler_title(rolling, noisy)
+    else:
+        assert np.isnan([low, high]).all()
+        assert noisy.depth_db == 0
+        assert "no echo above the noise" in micro_doppler_title(rolling, noisy)

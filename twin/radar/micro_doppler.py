@@ -16,6 +16,8 @@ from twin.scene import Scene, SceneObject
 
 Array = NDArray[np.float64]
 
+#: Below the strongest rate down to which others are heard, where the noise is fainter.
+DEEPEST_DB = 40.0
 _INSTANTS = 9  # of the interval at which rates are looked at
 #: In an interval: rates are told apart half as finely as by all of it.
 WINDOWS = 2
@@ -53,10 +55,27 @@ class MicroDoppler:
 
     @property
     def heard_m_per_s(self) -> tuple[float, float]:
-        """Least and greatest rate within 40 dB of the strongest, in the mean over time."""
+        """Least and greatest rate within `depth_db` of the strongest, in the mean over time; NaN
+        where no echo is above the noise.
+        """
+        mean, faintest = self._levels
+        rates = self.seen.range_rate_m_per_s[mean >= faintest]
+        return (float(rates.min()), float(rates.max())) if len(rates) else (np.nan, np.nan)
+
+    @property
+    def depth_db(self) -> float:
+        """Below the strongest rate, in the mean over time, to which rates are heard: `DEEPEST_DB`,
+        or down to the noise; 0 where none is.
+        """
+        mean, faintest = self._levels
+        return max(float(10 * np.log10(max(mean.max(), 1e-300) / max(faintest, 1e-300))), 0.0)
+
+    @property
+    def _levels(self) -> tuple[Array, float]:
+        """The mean over time of every rate, and the faintest that is heard."""
         mean = self.seen.power_w.mean(axis=1)
-        rates = self.seen.range_rate_m_per_s[mean >= 1e-4 * mean.max()]
-        return float(rates.min()), float(rates.max())
+        deepest = float(mean.max()) * 10 ** (-DEEPEST_DB / 10)
+        return mean, max(deepest, float(self.seen.threshold_w.mean()))
 
 
 def micro_doppler(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hardware.formatting import number
 from twin.accuracy.interval import TWO_SIDED_95
 from twin.radar.evaluation import RadarEvaluation
-from twin.radar.micro_doppler import MicroDoppler
+from twin.radar.micro_doppler import DEEPEST_DB, MicroDoppler
 from twin.radar.picture import TrackPicture
 from twin.report import charts
 from twin.report.extent import folded, mover_row, shown_ranges, shown_rates, top_range_m
@@ -201,10 +201,14 @@ def _micro_doppler(evaluation: RadarEvaluation, body: MicroDoppler) -> charts.Ch
 def micro_doppler_title(evaluation: RadarEvaluation, body: MicroDoppler) -> str:
     """What the spectrogram of a body shows, in words."""
     low, high = body.heard_m_per_s
+    heard = f"rates from {low:.2f} to {high:.2f} m/s heard within {body.depth_db:.0f} dB"
+    if np.isnan(low):
+        heard = "no echo above the noise"
+    elif body.depth_db < DEEPEST_DB:
+        heard += ", down to the noise"
     return (
-        f"micro-Doppler of {body.name} at {number(body.seen.range_m, 3)} m: rates from "
-        f"{low:.2f} to {high:.2f} m/s heard within 40 dB, its parts have "
-        f"{body.least_m_per_s:.2f} to {body.greatest_m_per_s:.2f} m/s"
+        f"micro-Doppler of {body.name} at {number(body.seen.range_m, 3)} m: {heard}, "
+        f"its parts have {body.least_m_per_s:.2f} to {body.greatest_m_per_s:.2f} m/s"
     )
 
 

@@ -19,6 +19,7 @@ from twin.optics.hazards import least_margins
 from twin.radar.detection_count import targets_detected
 from twin.radar.evaluation import RadarEvaluation
 from twin.radar.intervals import body_level
+from twin.radar.micro_doppler import DEEPEST_DB
 from twin.report.findings import Finding, camera_finding
 from twin.report.measured import emitter_share, noise_found, range_used
 from twin.report.radar_findings import radar_finding
@@ -226,11 +227,13 @@ def radar_figures(evaluation: RadarEvaluation) -> Iterator[Figure]:
     for moving in evaluation.micro_doppler:
         # Of an edge of a spectrum nothing is told below its cells.
         heard, cell = moving.heard_m_per_s, float(np.diff(moving.seen.range_rate_m_per_s).max())
+        if moving.depth_db < DEEPEST_DB:  # it ends in the noise, wherever its rates do
+            cell = float("inf")
         for name, value, systematic in (
             ("least range rate of its parts", moving.least_m_per_s, 0.0),
             ("greatest range rate of its parts", moving.greatest_m_per_s, 0.0),
-            ("least range rate heard within 40 dB", heard[0], cell),
-            ("greatest range rate heard within 40 dB", heard[1], cell),
+            ("least range rate heard", heard[0], cell),
+            ("greatest range rate heard", heard[1], cell),
         ):
             figure = Interval(value, systematic=systematic)
             yield Figure((*of, "micro-Doppler", moving.name), name, "m/s", figure)
