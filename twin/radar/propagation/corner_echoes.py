@@ -24,7 +24,8 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import is_near_edges
 from twin.radar.propagation.diffraction.blocking import distances_to, first_hit
-from twin.radar.propagation.diffraction.passed_waves import BIN_M, waves_past
+from twin.radar.propagation.diffraction.passed_waves import BIN_M, PassedWaves, waves_past
+from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import front_facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
@@ -46,7 +47,8 @@ _FACETS = 512  # of a body, about, that are looked at for how much of it is hidd
 _LATER_S = 1e-11  # than the last echo of a body: 3 mm
 _SAME_M = 1e-6  # places closer than that are one
 _RATE_M_PER_S = 0.02  # of lengths, by which echoes that are joined differ at most
-_FAINT_PAIRS = 0.02  # of the faintest single wave: pairs of waves
+_FAINT = 0.5  # of the faintest wave that is followed: pairs of waves
+_AT_ONCE = 2**19  # pairs of waves: 100 MB
 
 
 class CornerEchoes(NamedTuple):
@@ -208,63 +210,72 @@ def _alone(
 
 
 def _passing(obstacles: Screens, alone: _Alone, body: int) -> Contributions:
-    """The same echoes by all ways, direct ones and over edges, to the places and back."""
+    """The same echoes by all ways, direct ones and over edges, to the places and back; those
+    between the same cells, and of nearly one length and rate, as one.
+    """
     every = alone.places.reshape(-1, 3)
     _, row, number = np.unique(
         np.round(every / _SAME_M), axis=0, return_index=True, return_inverse=True
     )
-    there, again = number.reshape(2, -1)
-    passed, echoes = waves_past(obstacles, every[row], body), alone.echoes
+    passed, ends = waves_past(obstacles, every[row], body), number.reshape(2, -1)
     strongest = np.abs(passed.wave).max(axis=1)
-    least, lengths = _FAINT_PAIRS * strongest[there] * strongest[again], passed.wave.shape[1]
-    parts, cells, n_cells = [], [], int(passed.cell.max(initial=0)) + 1
-    for bins in range(2 * lengths - 1):
-        wave, weight, rate = np.zeros(len(echoes), dtype=np.complex128), *np.zeros((2, len(echoes)))
-        for i in range(max(0, bins - lengths + 1), min(bins + 1, lengths)):
-            both = passed.wave[there, i] * passed.wave[again, bins - i]
-            size = np.abs(both)
-            wave += both
-            weight += size
-            rate += size * (passed.rate_m_per_s[there, i] + passed.rate_m_per_s[again, bins - i])
-        some = np.flatnonzero(np.abs(wave) > least)
-        longer_m, faster = bins * BIN_M, rate[some] / weight[some]
-        one = echoes.take(some)
+    place, _ = legs = np.nonzero(
+        np.abs(passed.wave) >= _FAINT * obstacles.faintest * strongest[:, None]
+    )
+    cells = passed.cell[ends]
+    order = np.lexsort(cells)
+    many = np.prod(np.bincount(place, minlength=len(row))[ends[:, order]], axis=0)
+    portions = np.flatnonzero(np.diff(np.cumsum(many) // _AT_ONCE)) + 1
+    parts = []
+    for some in np.split(order, portions):
+        echo, out = matching_pairs(ends[0, some], place)
+        pair, back = matching_pairs(ends[1, some[echo]], place)
         parts.append(
-            replace(
-                one,
-                amplitude=one.amplitude * wave[some],
-                delay_s=one.delay_s + longer_m / speed_of_light,
-                delay_rate=one.delay_rate + faster / speed_of_light,
-                departure=passed.departure[there[some]],
-                arrival=passed.departure[again[some]],
-            )
+            _joined(obstacles, alone.echoes, passed, legs, some[echo[pair]], out[pair], back)
         )
-        cells.append(passed.cell[there[some]] * n_cells + passed.cell[again[some]])
-    found = Contributions.concatenate(parts)
-    return _joined(found, np.concatenate(cells), obstacles.wavenumber) if len(found) else found
+    return Contributions.concatenate(parts)
 
 
-def _joined(echoes: Contributions, cells: Indices, wavenumber: float) -> Contributions:
-    """Those between the same cells, and of nearly the same length and rate, as one: each is divided
-    between the two lengths beside its own, as in `waves_past`.
+def _joined(
+    obstacles: Screens,
+    echoes: Contributions,
+    passed: PassedWaves,
+    legs: tuple[Indices, ...],
+    echo: Indices,
+    out: Indices,
+    back: Indices,
+) -> Contributions:
+    """Pairs of waves ``out`` and ``back``, by the numbers of their ``legs``, for some echoes, (n,);
+    each is divided between the two lengths beside its own, as in `waves_past`.
     """
-    length_m, rate = echoes.delay_s * speed_of_light, echoes.delay_rate * speed_of_light
-    lower = np.floor(length_m / BIN_M).astype(np.int64)
-    alike = cells
-    for values in (echoes.falloff, rate / _RATE_M_PER_S):
+    wave, faster = passed.wave[legs], passed.rate_m_per_s[legs]
+    both = wave[out] * wave[back]
+    strongest = np.abs(passed.wave).max(axis=1)[legs[0]]
+    strong = np.abs(both) >= _FAINT * obstacles.faintest * strongest[out] * strongest[back]
+    echo, out, back, both = echo[strong], out[strong], back[strong], both[strong]
+    place, bins = legs
+    length_m = echoes.delay_s[echo] * speed_of_light + BIN_M * (bins[out] + bins[back])
+    rate = echoes.delay_rate[echo] + (faster[out] + faster[back]) / speed_of_light
+    alike = passed.cell[place[out]]
+    steps_of_rate = rate * (speed_of_light / _RATE_M_PER_S)
+    for values in (passed.cell[place[back]], echoes.falloff[echo], steps_of_rate):
         steps = np.round(values).astype(np.int64)
         alike = alike * (int(np.ptp(steps)) + 1) + steps - steps.min()
     alike = np.unique(alike, return_inverse=True)[1]
+    lower = np.floor(length_m / BIN_M).astype(np.int64)
     upper = length_m / BIN_M - lower
     keys, share = np.concatenate([lower, lower + 1]), np.concatenate([1 - upper, upper])
-    row = np.tile(np.arange(len(echoes)), 2)
-    amplitude = echoes.amplitude[row] * share
-    amplitude *= phasors(wavenumber * (keys * BIN_M - length_m[row]))
-    first = int(keys.min())
+    row, first = np.tile(np.arange(len(echo)), 2), int(lower.min())
+    turn = phasors(obstacles.wavenumber * (keys * BIN_M - length_m[row]))
     number = alike[row] * (int(keys.max()) - first + 1) + keys - first
     _, least, owner = np.unique(number, return_index=True, return_inverse=True)
+    amplitude = (echoes.amplitude[echo] * both)[row] * share * turn
+    one = row[least]
     return replace(
-        echoes.take(row[least]),
+        echoes.take(echo[one]),
         amplitude=sums(owner.reshape(-1), amplitude, len(least)),
         delay_s=keys[least] * BIN_M / speed_of_light,
+        delay_rate=rate[one],
+        departure=passed.departure[place[out[one]]],
+        arrival=passed.departure[place[back[one]]],
     )
