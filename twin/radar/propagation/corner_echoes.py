@@ -30,7 +30,7 @@ from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import front_facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.one_way.path import offset_m
-from twin.radar.propagation.physical_optics import followed_everywhere, obstacles_of, scattered
+from twin.radar.propagation.physical_optics import followed_by, scattered
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.rows import phasors
 from twin.radar.propagation.scene.scattering_models import Assignment
@@ -74,6 +74,7 @@ def corner_echoes(
     body: NDArray[np.int32],
     traced: Contributions,
     worth: NDArray[np.bool_],
+    obstacles: Screens | None,
     followed_s: float | None,
 ) -> CornerEchoes:
     """Of bodies that edges of others stand before, or near the way to.
@@ -82,7 +83,7 @@ def corner_echoes(
     of the bodies of many facets are followed, (n_bodies,); ``followed_s``: as of `solvers.trace`.
     """
     began_s = perf_counter()
-    obstacles = obstacles_of(prepared, fidelity, followed_everywhere(fidelity))
+    obstacles = obstacles and followed_by(obstacles, fidelity)
     is_small = _are_small(prepared, body)
     is_followed, hidden = np.zeros(len(is_small), dtype=bool), np.zeros(len(is_small))
     parts, alone = [Contributions.none()], [Contributions.none()]

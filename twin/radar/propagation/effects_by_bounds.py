@@ -28,6 +28,7 @@ from twin.radar.propagation.decisions import (
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
 from twin.radar.propagation.diffraction.beside_ways import levels_beside
 from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
+from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.convergence import (
@@ -46,9 +47,9 @@ from twin.radar.propagation.physical_optics import (
     behind,
     diffracted,
     edge_bounds,
+    followed_by,
     followed_everywhere,
     loss_of,
-    obstacles_of,
 )
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
@@ -193,6 +194,7 @@ def round_obstacles(
     radar: RadarDesign,
     fidelity: Fidelity,
     levels: BodyLevels,
+    obstacles: Screens | None,
 ) -> RoundObstacles:
     """Of all bodies, or by bounds of those whose echo they may change too much."""
     nothing = np.zeros(len(levels.names))
@@ -206,7 +208,7 @@ def round_obstacles(
         fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
         faintest=followed_everywhere(fidelity),
     )
-    found = behind(prepared, radar, fidelity, accepted)
+    found = behind(prepared, radar, obstacles, accepted)
     return RoundObstacles(
         found.contributions,
         found.bound * loss,
@@ -262,12 +264,16 @@ def worth_following(
     fidelity: Fidelity,
     levels: BodyLevels,
     lit: Contributions,
+    obstacles: Screens | None,
 ) -> NDArray[np.bool_]:
     """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
     a few times what is permitted, (n_bodies,).
     """
+    if fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1:
+        return np.zeros(len(levels.names), dtype=bool)
     is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
-    change = _beside(prepared, radar, fidelity, levels, lit.take(np.flatnonzero(is_direct)))
+    some = lit.take(np.flatnonzero(is_direct))
+    change = _beside(prepared, radar, fidelity, levels, some, obstacles)
     return change > _WORTH * levels.permitted * levels.reference
 
 
@@ -278,6 +284,7 @@ def edges_beside(
     levels: BodyLevels,
     lit: Contributions,
     followed: NDArray[np.bool_],
+    obstacles: Screens | None,
 ) -> Decided:
     """What edges of obstacles may change of echoes that are not followed round these: over mirrors,
     and by several reflections at bodies other than the ``followed`` ones, (n_bodies,).
@@ -288,7 +295,8 @@ def edges_beside(
     if fidelity.radar_shadowed is not None or not len(rows):
         return (), np.zeros(len(levels.names))
     began_s = perf_counter()
-    left_out = _beside(prepared, radar, fidelity, levels, lit.take(rows)) / levels.reference
+    change = _beside(prepared, radar, fidelity, levels, lit.take(rows), obstacles)
+    left_out = change / levels.reference
     cost_s = perf_counter() - began_s
     return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
 
@@ -299,11 +307,12 @@ def _beside(
     fidelity: Fidelity,
     levels: BodyLevels,
     some: Contributions,
+    obstacles: Screens | None,
 ) -> Array:
     """What waves over edges of obstacles may change of some echoes, in amplitude, (n_bodies,)."""
-    obstacles = obstacles_of(prepared, fidelity, followed_everywhere(fidelity))
     if obstacles is None or not len(some):
         return np.zeros(len(levels.names))
+    obstacles = followed_by(obstacles, fidelity)
     body = levels.of_object[some.object]
     ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
     pairs, number = np.unique(np.stack([np.tile(body, 2), ends], 1), axis=0, return_inverse=True)

@@ -216,12 +216,11 @@ def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> dict[int, EdgeBo
 
 
 def behind(
-    prepared: PreparedScene, radar: RadarDesign, fidelity: Fidelity, accepted: Accepted
+    prepared: PreparedScene, radar: RadarDesign, obstacles: Screens | None, accepted: Accepted
 ) -> RoundObstacles:
     """Echoes of bodies by diffracted paths around others."""
     body = _bodies(prepared)
     bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
-    obstacles = obstacles_of(prepared, fidelity)
     if obstacles is None or not len(bodies):
         none = np.zeros(len(accepted.limit))
         return RoundObstacles(Contributions.none(), none, none, none > 0)
@@ -233,15 +232,17 @@ def behind(
     return echoes_behind(obstacles, prepared.surface_of_object, bodies, gain, accepted)
 
 
-def obstacles_of(
-    prepared: PreparedScene, fidelity: Fidelity, faintest: float = 0.0
-) -> Screens | None:
-    """What waves go round to bodies, down to the ``faintest`` that is followed; None where no
-    shadows are asked for.
-    """
-    deepest_db = min(fidelity.radar_shadow_db, _DEEPEST_DB)
-    found = screens(prepared, deepest_db, _bodies(prepared))
-    return found and replace(found, faintest=max(found.faintest, faintest))
+def obstacles_of(prepared: PreparedScene, fidelity: Fidelity) -> Screens | None:
+    """What waves go round to bodies; None where no shadows are asked for, or nothing scatters."""
+    body = _bodies(prepared)
+    if not (body >= 0).any():
+        return None
+    return screens(prepared, min(fidelity.radar_shadow_db, _DEEPEST_DB), body)
+
+
+def followed_by(obstacles: Screens, fidelity: Fidelity) -> Screens:
+    """Obstacles with the waves alone that are followed to all of a body."""
+    return replace(obstacles, faintest=max(obstacles.faintest, followed_everywhere(fidelity)))
 
 
 def followed_everywhere(fidelity: Fidelity) -> float:

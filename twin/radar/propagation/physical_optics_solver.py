@@ -33,6 +33,7 @@ from twin.radar.propagation.physical_optics import (
     at_antenna,
     followed_everywhere,
     loss_of,
+    obstacles_of,
     scattered,
     surface_clutter,
 )
@@ -105,15 +106,16 @@ def echoes(
     body, traced = of_bodies.body, of_bodies.contributions
     lit = at_antenna(traced, prepared, radar)
     by_rays = body_levels(prepared, radar, fidelity, of_bodies, lit)
-    worth = worth_following(prepared, radar, fidelity, by_rays, lit)
+    obstacles = obstacles_of(prepared, fidelity)
+    worth = worth_following(prepared, radar, fidelity, by_rays, lit, obstacles)
     of_corners = corner_echoes(
-        scene, roles, prepared, radar, fidelity, body, traced, worth, followed_s
+        scene, roles, prepared, radar, fidelity, body, traced, worth, obstacles, followed_s
     )
     if len(of_corners.replaced) or len(of_corners.echoes):
         rest = lit.take(np.delete(np.arange(len(lit)), of_corners.replaced))
         lit = Contributions.concatenate([rest, at_antenna(of_corners.echoes, prepared, radar)])
     behind = round_obstacles(
-        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit)
+        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit), obstacles
     )
     shadowed = at_antenna(behind.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
@@ -125,7 +127,7 @@ def echoes(
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
         behind.decided_by(levels),
         corners(of_corners, prepared, radar, levels),
-        edges_beside(prepared, radar, fidelity, levels, lit, of_corners.bodies),
+        edges_beside(prepared, radar, fidelity, levels, lit, of_corners.bodies, obstacles),
         mirror_borders(prepared, radar, fidelity, levels, lit),
     ):
         decisions += decided
