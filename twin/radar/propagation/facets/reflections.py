@@ -5,10 +5,9 @@ by reflections at bodies, and by reflections at large surfaces, on the way with 
 further reflections add is bounded by what the coarse pass found of them: their sum over the band as
 it stands, the rms of what it left out as faint, and three times the errors that it accepted of
 them, as in the estimate of a body's error. Reflections beyond those that it follows are told with
-the bound of the last ones: a reflection adds no power. In rooms, where one reflection more has
-images at more places, further orders are extrapolated: each is to the one before as the last is to
-its own, and their powers add. Of a body that only the last order followed brings into sight, no
-bound is known.
+the bound of the last ones: a reflection adds no power. At large surfaces further orders are
+extrapolated: each is to the one before as the last is to its own, and their powers add. Of a body
+that only the last order followed brings into sight, no bound is known.
 """
 
 from dataclasses import dataclass
@@ -215,8 +214,7 @@ class Tally:
         _, bounces, orders = self._shape
         before = self._beyond(range(bounces), range(max(orders - 2, 0), orders - 1))
         ratio = np.minimum(last / np.maximum(before, 1e-300), _ENDLESS)
-        of_room = last / np.sqrt(1 - ratio**2)
-        further: Array = np.where(self._further_images > 1, of_room, last)
+        further: Array = last / np.sqrt(1 - ratio**2)
         further[self._beyond(range(bounces), range(orders - 1)) < _HIDDEN * last] = np.inf
         return np.where(self._further_images > 0, further, 0.0)
 
