@@ -41,8 +41,9 @@ from twin.scene.boxes import boxes_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Of bodies that are traced once more, alone; and paths of others that are followed.
-MOST_FACES, MOST_PATHS = 2000, 2**18
+#: Of bodies that are traced once more, alone, the facets, and how many, the nearest ones; and paths
+#: of others that are followed.
+MOST_FACES, MOST_ALONE, MOST_PATHS = 2000, 16, 2**18
 _FACETS = 512  # of a body, about, that are looked at for how much of it is hidden
 _LATER_S = 1e-11  # than the last echo of a body: 3 mm
 _SAME_M = 1e-6  # places closer than that are one
@@ -53,8 +54,8 @@ _AT_ONCE = 2**19  # pairs of waves: 100 MB
 
 class CornerEchoes(NamedTuple):
     """Echoes without gains and losses; the same as if nothing stood before the bodies, ``alone``;
-    traced echoes that they replace, by number; the ``bodies`` that are followed, (n_bodies,), and
-    the time that they took.
+    traced echoes that they replace, by number; the ``bodies`` that are followed, (n_bodies,); of
+    those that are not traced again the share that is ``hidden``; and the time that they took.
     """
 
     echoes: Contributions
@@ -92,11 +93,12 @@ def corner_echoes(
     owner = body[traced.object[rows]]
     is_own = (owner >= 0) & (body[prepared.world.object_of_face[traced.first[rows]]] == owner)
     rows, owner = rows[is_own], owner[is_own]
-    replaced = [rows[:0]]
+    replaced, n_alone = [rows[:0]], 0
     if obstacles is not None and fidelity.radar_bounces != 1 and fidelity.radar_shadowed != 0:
         for number in _near_edges(prepared, obstacles, body):
             own = rows[owner == number]
-            if is_small[number]:
+            if is_small[number] and n_alone < MOST_ALONE:
+                n_alone += 1
                 found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
                 # Longer than any of its own are those by way of other bodies.
                 own = own[traced.delay_s[own] <= found.echoes.delay_s.max(initial=0.0) + _LATER_S]
@@ -136,14 +138,19 @@ def _are_small(prepared: PreparedScene, body: NDArray[np.int32]) -> NDArray[np.b
 def _near_edges(
     prepared: PreparedScene, obstacles: Screens, body: NDArray[np.int32]
 ) -> Iterator[int]:
-    """Bodies that the radar may see directly, and to which waves over edges may lead."""
-    for number in np.unique(body[(body >= 0) & prepared.worth[0]]).tolist():
-        boxes = boxes_of([prepared.originals[item] for item in np.flatnonzero(body == number)])
-        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-        middle, radius_m = (
-            (low + high) / 2 - prepared.anchor_m,
-            float(np.linalg.norm(high - low)) / 2,
-        )
+    """Bodies that the radar may see directly, and to which waves over edges may lead, the nearest
+    first.
+    """
+    numbers = np.unique(body[(body >= 0) & prepared.worth[0]])
+    boxes = [
+        boxes_of([prepared.originals[item] for item in np.flatnonzero(body == number)])
+        for number in numbers
+    ]
+    ends = np.array([(box[:, 0].min(axis=0), box[:, 1].max(axis=0)) for box in boxes])
+    ends = ends.reshape(-1, 2, 3) - prepared.anchor_m
+    middles, radii_m = ends.mean(axis=1), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / 2
+    for row in np.argsort(np.linalg.norm(middles - prepared.images[0].place, axis=1)):
+        number, middle, radius_m = int(numbers[row]), middles[row], float(radii_m[row])
         if is_near_edges(obstacles, prepared.images[0], middle, radius_m, number):
             yield number
 

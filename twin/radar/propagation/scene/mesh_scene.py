@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 #: Anchors lie on this grid: a track of poses within a cell shares one mesh.
 _GRID_M = 64.0
-_WORLDS = 4  # kept, the last one and others
+_WORLDS = 20  # kept, the last one and others, such as single bodies
 _MOST_KEPT = 2_000_000  # faces in those others: 300 MB for each million
 _worlds: "OrderedDict[tuple[Geometry, ...], MeshScene]" = OrderedDict()
 #: Of objects that are too large for float32 rays, around the last anchor.
