@@ -41,9 +41,10 @@ from twin.scene.boxes import boxes_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Of bodies that are traced once more, alone, the facets, and how many, the nearest ones; and paths
-#: of others that are followed.
-MOST_FACES, MOST_ALONE, MOST_PATHS = 2000, 16, 2**18
+#: Facets of bodies that are traced once more, alone, and of those of which others hide a part; how
+#: many of them, the nearest ones; and paths of other bodies that are followed.
+MOST_FACES, MOST_FACES_HIDDEN, MOST_ALONE, MOST_PATHS = 2000, 10_000, 16, 2**18
+_LEAST_HIDDEN = 0.02  # share of a body
 _FACETS = 512  # of a body, about, that are looked at for how much of it is hidden
 _LATER_S = 1e-11  # than the last echo of a body: 3 mm
 _SAME_M = 1e-6  # places closer than that are one
@@ -85,8 +86,8 @@ def corner_echoes(
     """
     began_s = perf_counter()
     obstacles = obstacles and followed_by(obstacles, fidelity)
-    is_small = _are_small(prepared, body)
-    is_followed, hidden = np.zeros(len(is_small), dtype=bool), np.zeros(len(is_small))
+    faces = _concave_faces(prepared, body)
+    is_followed, hidden = np.zeros(len(faces), dtype=bool), np.zeros(len(faces))
     parts, alone = [Contributions.none()], [Contributions.none()]
     is_direct = (traced.bounces > 1) & (traced.source == 0) & (traced.receiver == 0)
     rows = np.flatnonzero(is_direct)
@@ -96,15 +97,15 @@ def corner_echoes(
     replaced, n_alone = [rows[:0]], 0
     if obstacles is not None and fidelity.radar_bounces != 1 and fidelity.radar_shadowed != 0:
         for number in _near_edges(prepared, obstacles, body):
-            own = rows[owner == number]
-            if is_small[number] and n_alone < MOST_ALONE:
-                n_alone += 1
+            own, hidden[number] = rows[owner == number], _hidden(obstacles, number)
+            most = MOST_FACES_HIDDEN if hidden[number] > _LEAST_HIDDEN else MOST_FACES
+            if faces[number] <= most and n_alone < MOST_ALONE:
+                n_alone, hidden[number] = n_alone + 1, 0.0
                 found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
                 # Longer than any of its own are those by way of other bodies.
                 own = own[traced.delay_s[own] <= found.echoes.delay_s.max(initial=0.0) + _LATER_S]
             elif worth[number] and len(own) <= MOST_PATHS:
                 found = _Alone.of(prepared, traced.take(own))
-                hidden[number] = _hidden(obstacles, number)
             else:
                 continue
             is_followed[number] = True
@@ -122,9 +123,9 @@ def corner_echoes(
     )
 
 
-def _are_small(prepared: PreparedScene, body: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Bodies of few facets that may reflect to one another, and that the radar may see directly,
-    (n_bodies,).
+def _concave_faces(prepared: PreparedScene, body: NDArray[np.int32]) -> Array:
+    """Facets of bodies that may reflect to one another, and that the radar may see directly,
+    (n_bodies,); inf of others.
     """
     count = int(body.max(initial=-1)) + 1
     faces, parts = np.zeros((2, count), dtype=np.int64)
@@ -132,7 +133,7 @@ def _are_small(prepared: PreparedScene, body: NDArray[np.int32]) -> NDArray[np.b
         geometry = prepared.items[number].geometry
         faces[body[number]] += len(geometry.faces)
         parts[body[number]] += 1 if geometry.shape.is_convex else 2
-    return (parts > 1) & (faces <= MOST_FACES)
+    return np.where(parts > 1, faces, np.inf)
 
 
 def _near_edges(

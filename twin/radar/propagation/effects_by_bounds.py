@@ -61,7 +61,7 @@ Array = NDArray[np.float64]
 MOST_SHADOWED = 1000
 #: Error of echoes by several reflections round obstacles: of what waves change of them, or of what
 #: is left of them.
-_OF_CORNERS = 0.1
+_OF_CORNERS = 0.05
 _WORTH = 3.0  # of what is permitted: such echoes of bodies of many facets are followed
 _NOTHING = 1e-6  # of what is permitted: a number of cells is computed however faint
 #: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import EngineError, InputError
 from twin.fidelity import Accuracy, Fidelity, knobs_of, own_solver
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.earlier import TracedFrame
@@ -157,20 +157,22 @@ def trace(
         until they move as points for so long. Default: half a burst.
 
     Raises InputError where a material that answers has no data at the carrier, where a user's own
-    model gives no echoes, and where ``earlier`` is no such frame.
+    model gives no echoes, and where ``earlier`` is no such frame; EngineError for echoes that are
+    no finite numbers.
     """
     knobs = knobs_of(fidelity, radar.total_bandwidth_hz)
     solver = solver_of(knobs)
     traced = _traced(earlier, radar, knobs, solver)
     if solver.reusing is not None:
-        return solver.reusing(scene, radar, knobs, seed, traced, keep=keep, followed_s=followed_s)
+        found = solver.reusing(scene, radar, knobs, seed, traced, keep=keep, followed_s=followed_s)
+        return _finite(found, scene)
     result = solver.model(scene, radar, knobs, seed)
     if isinstance(result, Contributions):
         said = f"echoes by {solver.label}, a propagation model of the user"
         result = Propagation(result, assumptions=(said,))
     if own_solver(knobs.radar) is not None:
         _check(result, solver.label)
-    return result
+    return _finite(result, scene)
 
 
 def _traced(
@@ -189,6 +191,22 @@ def _traced(
     elif solver.reusing is not None:
         raise InputError("earlier: traced without keep, expected a frame traced with keep=True")
     return earlier.traced
+
+
+def _finite(result: Propagation, scene: Scene) -> Propagation:
+    """Raises EngineError for echoes that are no numbers, of which the record would be nothing."""
+    echoes = result.contributions
+    wrong = ~np.isfinite(np.atleast_2d(echoes.amplitude)).all(axis=0)
+    wrong |= ~np.isfinite(echoes.delay_s)
+    if wrong.any():
+        numbers = np.unique(echoes.object[wrong]).tolist()
+        names = [result.objects[k] for k in numbers if k < len(result.objects)]
+        raise EngineError(
+            f"{scene.name}: {np.count_nonzero(wrong)} echoes, of {', '.join(names) or 'paths'}, "
+            "are no finite numbers: a fault of the tracer, which an object or a radar moved by "
+            "a tenth of a millimetre may avoid"
+        )
+    return result
 
 
 def _check(result: Propagation, name: str) -> None:

@@ -16,6 +16,8 @@ Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _THIN = 8.0  # square of the longest edge over the area, of one that is four times as long as wide
+_ON_PLANE_M = 1e-9  # from a plane: a corner is on it
+_SLIVER = 1e-9  # area over the square of the longest edge, down to which parts are none
 FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
 
 
@@ -118,6 +120,7 @@ class Facets:
     def cut(self, place: Array, normal: Array) -> "Facets":
         """Cut at planes through a place (3,), with normals (n, 3)."""
         height = np.einsum("nci,ni->nc", self.corners - place, normal)
+        height[np.abs(height) < _ON_PLANE_M] = 0.0
         is_cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
         some, height = self.take(is_cut), height[is_cut]
         above = height > 0
@@ -130,7 +133,8 @@ class Facets:
         three = np.stack([[a, ab, ac], [ab, b, c], [ab, c, ac]])
         corners = three.transpose(0, 2, 1, 3).reshape(-1, 3, 3)
         parts = Facets(corners, np.tile(some.object, 3), np.tile(some.cell, 3))
-        parts = parts.take(lengths(parts.across) > 0)
+        # A corner on the plane leaves slivers of rounding, whose parts have no normal.
+        parts = parts.take(lengths(parts.across) > _SLIVER * parts.sizes**2)
         return Facets.concatenate([self.take(~is_cut), parts])
 
     @staticmethod
