@@ -23,6 +23,7 @@ from scipy.constants import speed_of_light
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import is_near_edges
+from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES
 from twin.radar.propagation.diffraction.blocking import distances_to, first_hit
 from twin.radar.propagation.diffraction.passed_waves import BIN_M, PassedWaves, waves_past
 from twin.radar.propagation.diffraction.rims import matching_pairs
@@ -85,6 +86,8 @@ def corner_echoes(
     of the bodies of many facets are followed, (n_bodies,); ``followed_s``: as of `solvers.trace`.
     """
     began_s = perf_counter()
+    if obstacles is not None and len(obstacles.items) > MANY_OBSTACLES:
+        obstacles = None
     obstacles = obstacles and followed_by(obstacles, fidelity)
     faces = _concave_faces(prepared, body)
     is_followed, hidden = np.zeros(len(faces), dtype=bool), np.zeros(len(faces))

@@ -26,7 +26,7 @@ from twin.radar.propagation.decisions import (
     on_round_obstacles,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
-from twin.radar.propagation.diffraction.beside_ways import levels_beside
+from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES, levels_beside
 from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
@@ -269,7 +269,8 @@ def worth_following(
     """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
     a few times what is permitted, (n_bodies,).
     """
-    if fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1:
+    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
+    if fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1 or is_city:
         return np.zeros(len(levels.names), dtype=bool)
     is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
     some = lit.take(np.flatnonzero(is_direct))

@@ -17,6 +17,9 @@ from twin.radar.propagation.diffraction.shadow_bounds import are_beside, level_b
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.scene.images import Image, mirrored
 
+#: Objects of a city: waves round so many obstacles are followed to single reflections alone.
+MANY_OBSTACLES = 200
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -52,7 +55,16 @@ def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array
     reach_m = float(np.mean(np.linalg.norm(direct, axis=1)))
     for number in np.unique(owner):
         members = near[owner == number].tolist()
-        rim = _together([obstacles.rim(item, source, reach_m, body) for item in members])
+        # Whole outlines from images and in cities: the rays that find outer rims would take long.
+        is_whole = leg > 0 or len(obstacles.items) > MANY_OBSTACLES
+        rim = _together(
+            [
+                obstacles.outline(item, source)
+                if is_whole
+                else obstacles.rim(item, source, reach_m, body)
+                for item in members
+            ]
+        )
         rim = _between_mirrors(obstacles, image, leg, rim)
         if len(rim.ends):
             square += level_beside(rim, direct, obstacles.wavenumber) ** 2
