@@ -450,12 +450,7 @@ def test_ctrl_c_while_a_library_registers_its_types(library: str, tmp_path: Path
         "from twin.cli import main\n"
         "main()\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", interrupted, "run", "yard", "--out", str(tmp_path / "out")],
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 130, done.stderr
-    assert list(tmp_path.iterdir()) == []
+    _ends_interrupted(interrupted, tmp_path)
 
 
 def test_a_second_signal_at_the_end_changes_nothing(tmp_path: Path) -> None:
@@ -485,8 +480,13 @@ def test_a_second_signal_at_the_end_changes_nothing(tmp_path: Path) -> None:
         "sys.stderr = Stderr()\n"
         "main()\n"
     )
+    _ends_interrupted(interrupted, tmp_path)
+
+
+def _ends_interrupted(script: str, tmp_path: Path) -> None:
+    """A run that a script interrupts ends in one line, and leaves nothing."""
     done = subprocess.run(
-        [sys.executable, "-c", interrupted, "run", "yard", "--out", str(tmp_path / "out")],
+        [sys.executable, "-c", script, "run", "yard", "--out", str(tmp_path / "out")],
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert done.returncode == 130, done.stderr

@@ -100,15 +100,18 @@ def corner_echoes(
     replaced, n_alone = [rows[:0]], 0
     if obstacles is not None and fidelity.radar_bounces != 1 and fidelity.radar_shadowed != 0:
         for number in _near_edges(prepared, obstacles, body):
-            own, hidden[number] = rows[owner == number], _hidden(obstacles, number)
-            most = MOST_FACES_HIDDEN if hidden[number] > _LEAST_HIDDEN else MOST_FACES
-            if faces[number] <= most and n_alone < MOST_ALONE:
-                n_alone, hidden[number] = n_alone + 1, 0.0
+            own = rows[owner == number]
+            may_be_alone = faces[number] <= MOST_FACES_HIDDEN and n_alone < MOST_ALONE
+            if not (may_be_alone or worth[number]):
+                continue
+            share = _hidden(obstacles, number)
+            if may_be_alone and (faces[number] <= MOST_FACES or share > _LEAST_HIDDEN):
+                n_alone += 1
                 found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
                 # Longer than any of its own are those by way of other bodies.
                 own = own[traced.delay_s[own] <= found.echoes.delay_s.max(initial=0.0) + _LATER_S]
             elif worth[number] and len(own) <= MOST_PATHS:
-                found = _Alone.of(prepared, traced.take(own))
+                found, hidden[number] = _Alone.of(prepared, traced.take(own)), share
             else:
                 continue
             is_followed[number] = True
