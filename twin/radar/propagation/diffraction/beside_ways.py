@@ -7,7 +7,6 @@ independent waves.
 """
 
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +56,7 @@ def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array
         members = near[owner == number].tolist()
         # Whole outlines from images and in cities: the rays that find outer rims would take long.
         is_whole = leg > 0 or len(obstacles.items) > MANY_OBSTACLES
-        rim = _together(
+        rim = Outline.together(
             [
                 obstacles.outline(item, source)
                 if is_whole
@@ -82,8 +81,3 @@ def _between_mirrors(obstacles: Screens, image: Image, leg: int, rim: Outline) -
             heights = (middle - flat.point) @ flat.normal
             is_there &= side * heights * ((source - flat.point) @ flat.normal) > 0
     return rim.take(np.flatnonzero(is_there))
-
-
-def _together(rims: Sequence[Outline]) -> Outline:
-    columns = ([getattr(rim, f.name) for rim in rims] for f in fields(Outline))
-    return Outline(*(np.concatenate(column) for column in columns))

@@ -83,7 +83,7 @@ class _Pieces:
         parts = [replace(part, edge=part.edge + n) for part, n in zip(parts, first, strict=False)]
         names = [f.name for f in fields(_Pieces)[1:]]
         rest = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return _Pieces(_together([part.outline for part in parts]), *rest)
+        return _Pieces(Outline.together([part.outline for part in parts]), *rest)
 
     @property
     def distance_m(self) -> Array:
@@ -246,14 +246,6 @@ def _close(boxes: Array, mirrors: Indices, wavelength_m: float) -> list[Indices]
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]
     return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(boxes))))
-
-
-def _together(rims: list[Outline]) -> Outline:
-    """As one outline, with corners numbered anew."""
-    first = np.cumsum([0, *(int(rim.corner.max(initial=-1)) + 1 for rim in rims)])
-    rims = [replace(rim, corner=rim.corner + n) for rim, n in zip(rims, first, strict=False)]
-    columns = ([getattr(rim, f.name) for rim in rims] for f in fields(Outline))
-    return Outline(*(np.concatenate(column) for column in columns))
 
 
 def _pieces(rim: Outline, wavelength_m: float) -> tuple[Outline, Indices, Indices, Indices]:

@@ -8,7 +8,7 @@ which the band tells apart, by their powers (Parseval).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,8 +114,7 @@ def _rims(obstacles: Screens, body: int, center: Array) -> Iterator[Outline]:
     for some in np.split(far, range(_TOGETHER, len(far), _TOGETHER)):
         outlines = [obstacles.outline(item, source) for item in some.tolist()]
         if outlines:
-            columns = ([getattr(one, f.name) for one in outlines] for f in fields(Outline))
-            yield Outline(*(np.concatenate(column) for column in columns))
+            yield Outline.together(outlines)
 
 
 def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:

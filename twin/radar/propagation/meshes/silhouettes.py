@@ -1,6 +1,7 @@
 """Outlines of bodies as seen from a point: edges with all their faces on one side of them."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,16 @@ class Outline:
     def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
         return Outline(*(getattr(self, f.name)[which] for f in fields(Outline)))
+
+    @staticmethod
+    def together(parts: "Sequence[Outline]") -> "Outline":
+        """Several as one, with corners numbered anew; of each, edges keep their numbers."""
+        first = np.cumsum([0, *(int(part.corner.max(initial=-1)) + 1 for part in parts)])
+        parts = [
+            replace(part, corner=part.corner + n) for part, n in zip(parts, first[:-1], strict=True)
+        ]
+        columns = ([getattr(part, f.name) for part in parts] for f in fields(Outline))
+        return Outline(*(np.concatenate(column) for column in columns))
 
     def from_elsewhere(self, place: Array) -> "Outline":
         """The same edges relative to another point, itself relative to the first."""
