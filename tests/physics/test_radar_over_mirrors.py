@@ -114,3 +114,13 @@ def test_what_an_obstacles_edge_changes_of_a_way_over_a_mirror_is_stated(
         assert stated(found) < 4 * error + 0.2 * abs(echo(free))
     else:  # of what is not lit nothing is stated
         assert abs(echo(found)) < 0.3 * abs(echo(free))
+
+
+def test_the_waves_of_a_wires_two_edges_cancel() -> None:
+    """A strip of 1 mm, 20 mm beside the way, takes off some 2 %; its edges by themselves 80."""
+    wall, along = upright("wall", (5.0, -3.0), (5.0, 6.0)), np.array([7.0, 2.0]) / np.hypot(7, 2)
+    aside = np.array([along[1], -along[0]])
+    ends = (2.5 * along + far_m * aside for far_m in (0.02, 0.021))
+    wire = upright("wire", *(tuple(end) for end in ends), radar="obstacle")
+    free, found = seen(wall), seen(wall, wire)
+    assert stated(found) < stated(free) + 0.45 * abs(echo(free))

@@ -2,8 +2,8 @@
 round obstacles: over mirrors, and to facets that reflect more than once.
 
 Of each body, image of the radar and leg of the way, between two mirrors or before the first or
-behind the last: the knife-edge factors of the nearest edges of each obstacle, by geometry alone, as
-independent waves.
+behind the last: the knife-edge waves of the nearest edges of each obstacle, by geometry alone,
+those of different obstacles as independent ones.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadow_bounds import are_beside, level_beside
+from twin.radar.propagation.diffraction.shadow_bounds import are_beside, change_beside
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.scene.images import Image, mirrored
 
@@ -26,8 +26,9 @@ Indices = NDArray[np.int64]
 def levels_beside(
     obstacles: Screens, pairs: Sequence[tuple[int, int]], points: dict[int, Array]
 ) -> Array:
-    """Of the waves over edges of others than a body to its ``points`` (n, 3), over the straight
-    ones, rms over the body, for pairs of a body and an image, by their numbers, (n_pairs,).
+    """What waves over edges of others than a body change of those to its ``points`` (n, 3), over
+    the straight ones, rms over the body, for pairs of a body and an image, by their numbers,
+    (n_pairs,).
     """
     levels = np.zeros(len(pairs))
     for row, (body, number) in enumerate(pairs):
@@ -66,7 +67,7 @@ def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array
         )
         rim = _between_mirrors(obstacles, image, leg, rim)
         if len(rim.ends):
-            square += level_beside(rim, direct, obstacles.wavenumber) ** 2
+            square += change_beside(rim, direct, obstacles.wavenumber) ** 2
     return square
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
@@ -23,6 +24,7 @@ from twin.radar.propagation.meshes.silhouettes import Outline
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_ALONG = 0.5  # cosine between directions across edges, from which on they are of one pair of sides
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 
 
@@ -130,11 +132,61 @@ def level_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:
     return _beside(rim, direct, np.zeros(len(direct)), wavenumber)[0]
 
 
+def change_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:
+    """By how much waves over the rim of an obstacle change those to the ends of vectors (n, 3) from
+    its source, over the straight ones, about, (n,): over the nearest edge and that on the other
+    side of the obstacle, or of its opening, as strong as they may be and with their phases; and
+    likewise across these.
+
+    Past both sides of a post waves cancel, and through a slit they add.
+    """
+    root_q, _, _, faces = _phases(rim, direct, np.zeros(len(direct)), wavenumber)
+    sides, is_lit, row = rim.lit @ rim.lit.T, direct @ rim.lit.T > 0, np.arange(len(direct))
+
+    def nearest(of: NDArray[np.bool_]) -> tuple[Indices, NDArray[np.complex128]]:
+        among = np.where(of, root_q, np.inf)
+        edge = among.argmin(axis=1)
+        root = among[row, edge]
+        q = np.where(np.isfinite(root), root, 0.0) ** 2
+        phase_rad = np.angle(knife_edge_factor(q)) - q
+        wave = np.where(is_lit[row, edge], -1, 1) * np.exp(1j * phase_rad)
+        return edge, knife_edge_bound(root) * wave
+
+    change = np.zeros(len(direct))
+    of = np.ones_like(root_q, dtype=bool)
+    for _ in range(2):
+        edge, wave = nearest(of)
+        change += np.abs(wave + nearest(of & (sides[edge] < -_ALONG))[1])
+        of = faces & (np.abs(sides[edge]) <= _ALONG)  # not those that go away from its end
+    return change
+
+
 def _beside(
     rim: Outline, direct: Array, radius: Array, wavenumber: float
 ) -> tuple[Array, Array, Array, Array, Indices]:
     """Of one obstacle and cells at the ends of vectors (n, 3): ``level``, ``nearest``, ``steepest``
     and ``aside`` of `Cells`, and the row of the nearest edge.
+    """
+    root_q, grows, angle, _ = _phases(rim, direct, radius, wavenumber)
+    closest, row = root_q.argmin(axis=1), np.arange(len(direct))
+    nearest = root_q[row, closest]
+    # A narrow obstacle lets waves come round both of its sides.
+    is_opposite = rim.lit @ rim.lit.T < 0
+    other = np.where(is_opposite[closest], root_q, np.inf).min(axis=1)
+    level = knife_edge_bound(nearest) + knife_edge_bound(other)
+    is_near = np.isfinite(nearest)
+    level[~is_near] = 0
+    steepest = np.where(is_near, grows[row, closest], 0)
+    aside = np.where(is_near, angle[row, closest], 0)
+    return level, nearest, steepest, aside, closest
+
+
+def _phases(
+    rim: Outline, direct: Array, radius: Array, wavenumber: float
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Of one obstacle and cells at the ends of vectors (n, 3): root of the phase q of the path over
+    each edge, how that grows across the line of sight, 1/m, the square of the angle between both
+    waves over q, and whether that path is shortest between the edge's ends, (n, m).
     """
     first, side = rim.ends[:, 0], rim.ends[:, 1] - rim.ends[:, 0]
     length = np.linalg.norm(side, axis=1)
@@ -148,7 +200,8 @@ def _beside(
     square = straight[:, None] ** 2 - forward**2 - 2 * direct @ foot.T + off_source**2
     off_place = np.sqrt(np.maximum(square, 0))
     both = np.maximum(off_source + off_place, 1e-300)
-    at = np.clip(at_source + forward * off_source / both, 0, length)
+    straight_at = at_source + forward * off_source / both
+    at = np.clip(straight_at, 0, length)
     a = np.hypot(off_source, at - at_source)
     b = np.maximum(np.hypot(off_place, at - at_source - forward), 1e-9)
     depth = (direct @ first.T + at * forward) / straight[:, None] ** 2
@@ -157,14 +210,4 @@ def _beside(
     root_q = np.maximum(root_q - radius[:, None] * grows, 0)
     slack = (radius / straight)[:, None]
     root_q[(depth < -slack) | (depth > 1 + slack)] = np.inf
-    closest, row = root_q.argmin(axis=1), np.arange(len(direct))
-    nearest = root_q[row, closest]
-    # A narrow obstacle lets waves come round both of its sides.
-    is_opposite = rim.lit @ rim.lit.T < 0
-    other = np.where(is_opposite[closest], root_q, np.inf).min(axis=1)
-    level = knife_edge_bound(nearest) + knife_edge_bound(other)
-    is_near = np.isfinite(nearest)
-    level[~is_near] = 0
-    steepest = np.where(is_near, grows[row, closest], 0)
-    aside = np.where(is_near, (2 * a / (wavenumber * b * (a + b)))[row, closest], 0)
-    return level, nearest, steepest, aside, closest
+    return root_q, grows, 2 * a / (wavenumber * b * (a + b)), at == straight_at
