@@ -21,12 +21,15 @@ class _Terminal(serial.Serial):
 
 
 @contextmanager
-def behind_rfc2217(path: str, cut: threading.Event | None = None) -> Iterator[str]:
-    """URL at which one host after another reaches a terminal; ``cut`` hangs up on one."""
-    over, cut = threading.Event(), cut or threading.Event()
+def behind_rfc2217(path: str, hang_up_after_bytes: int | None = None) -> Iterator[str]:
+    """URL at which one host after another reaches a terminal.
+
+    The first host is hung up on once so many bytes of the device have been sent to it.
+    """
+    over = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.1)
-        thread = threading.Thread(target=_serve, args=(server, path, over, cut))
+        thread = threading.Thread(target=_serve, args=(server, path, over, hang_up_after_bytes))
         thread.start()
         try:
             yield f"rfc2217://127.0.0.1:{server.getsockname()[1]}"
@@ -35,34 +38,37 @@ def behind_rfc2217(path: str, cut: threading.Event | None = None) -> Iterator[st
             thread.join()
 
 
-def _serve(server: socket.socket, path: str, over: threading.Event, cut: threading.Event) -> None:
+def _serve(server: socket.socket, path: str, over: threading.Event, most_bytes: int | None) -> None:
     while not over.is_set():
         try:
             host, _ = server.accept()
         except TimeoutError:
             continue
         with host, _Terminal(path, timeout=0) as port:
-            _pass(host, port, over, cut)
+            _pass(host, port, over, most_bytes)
+        most_bytes = None
 
 
 def _pass(
-    host: socket.socket, port: serial.Serial, over: threading.Event, cut: threading.Event
+    host: socket.socket, port: serial.Serial, over: threading.Event, most_bytes: int | None
 ) -> None:
-    """Bytes both ways until the host has gone or is let go."""
+    """Bytes both ways until the host has gone, or has had ``most_bytes`` of the device."""
 
     class Connection:
         write = staticmethod(host.sendall)
 
     manager = PortManager(port, Connection)
-    while not (over.is_set() or cut.is_set()):
+    sent_bytes = 0
+    while not over.is_set() and (most_bytes is None or sent_bytes < most_bytes):
         ready, _, _ = select.select([host, port], [], [], 0.1)
         try:
             if port in ready:
-                host.sendall(b"".join(manager.escape(port.read(4096))))
+                data = port.read(4096)
+                host.sendall(b"".join(manager.escape(data)))
+                sent_bytes += len(data)
             if host in ready:
                 if not (data := host.recv(4096)):
                     return
                 port.write(b"".join(manager.filter(data)))
         except OSError:
             return
-    cut.clear()

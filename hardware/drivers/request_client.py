@@ -183,16 +183,15 @@ class RequestClient:
             self._next_sync_s = time.monotonic() + _SYNC_PERIOD_S
             self._link.write(encode(to_frame(self._time(), 0)))
 
-    def reconnect(self) -> None:
-        """Open a new line on which the device answers."""
+    def reconnect(self) -> Status:
+        """Open a new line on which the device answers; its state."""
         deadline = time.monotonic() + self.patience.reconnect_s
         while True:
             self._link.close()
             self._link, self._deframer = self._open(), Deframer()
             self.statistics.reconnects += 1
             try:
-                self.status()
-                return
+                return self.status()
             except LinkError:
                 if time.monotonic() > deadline or self.over.is_set():
                     raise

@@ -170,8 +170,7 @@ class SpiCamera:
             return self._handle_status(message or self.status())
         except LinkError as error:
             _log.warning("%s: %s; opening it again", self.url, error)
-            self._device.reconnect()
-            status = self.status()
+            status = self._device.reconnect()
             return self._give_up(run) if run.is_over else self._handle_status(status)
 
     def _take(self, frame: Measurement) -> list[ExposureSet]:

@@ -9,11 +9,16 @@ from contextlib import contextmanager
 
 
 class Bridge:
-    """A TCP port in front of a terminal, which can cut the line or spoil what passes."""
+    """A TCP port in front of a terminal, which can cut the line or spoil what passes.
+
+    The line is cut wherever the bytes sent to the host, all its connections together, have
+    reached the next of ``cuts_bytes``.
+    """
 
     def __init__(self, terminal: str) -> None:
         self.spoil: Callable[[bytes], bytes] = lambda data: data
-        self.cut = threading.Event()
+        self.cuts_bytes: list[int] = []
+        self._sent_bytes = 0
         self._terminal = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self._server = socket.create_server(("127.0.0.1", 0))
         self._over = False
@@ -49,11 +54,13 @@ class Bridge:
                     if not data:
                         return False
                 else:
-                    host.sendall(self.spoil(os.read(self._terminal, 4096)))
+                    data = os.read(self._terminal, 4096)
+                    host.sendall(self.spoil(data))
+                    self._sent_bytes += len(data)
             except OSError:
                 return False
-        if self.cut.is_set():
-            self.cut.clear()
+        if self.cuts_bytes and self._sent_bytes >= self.cuts_bytes[0]:
+            del self.cuts_bytes[0]
             return False
         return True
 
