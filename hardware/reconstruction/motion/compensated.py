@@ -12,7 +12,6 @@ from hardware.reconstruction.motion import solvers
 from hardware.reconstruction.motion.estimation import FEWEST_SEARCHED, Search, estimated_shift
 from hardware.reconstruction.motion.fitting import fitted_prior
 from hardware.reconstruction.motion.knobs import Compensation
-from hardware.reconstruction.motion.layers import Layers
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.motion.operators import (
     MovingPatterns,
@@ -48,13 +47,15 @@ ERRORS_IN_95 = 2.5
 @dataclass(frozen=True, eq=False)
 class _Estimate:
     """What differs from a flat image of a level, by a prior and its scale, and whether the
-    measurements told the prior's steepness (`fitted_prior`).
+    measurements told the prior's steepness (`fitted_prior`). ``error_scale`` is the one for
+    standard errors, no less than it.
     """
 
     solved: solvers.Solved
     level: float
     scale: float
     prior: solvers.Prior
+    error_scale: float
     is_fitted: bool
 
 
@@ -80,8 +81,9 @@ class MovingScene:
         noise of the fitted prior.
 
         Standard errors are those of the prior: they hold noise, and detail that the patterns do not
-        tell apart where it moves. Scenes are less normal than their prior: on those of the tests
-        more than 93 % of all cells lie within `ERRORS_IN_95` of them.
+        tell apart where it moves; larger where measurements predict each other worse than it
+        foresees (`Fitted`). Scenes are less normal than their prior: on those of the tests more
+        than 93 % of all cells lie within `ERRORS_IN_95` of them.
         """
         cells, errors, worst = [], [], 0.0
         for image in range(self.timed.values.shape[1]):
@@ -93,7 +95,7 @@ class MovingScene:
             elif self.knobs.error_samples:
                 noise = 0.0 if self.timed.centred and found.is_fitted else float(most_noise[image])
                 prior = replace(found.prior, ratio=max(found.prior.ratio, noise / found.scale))
-                errors.append(np.sqrt(found.scale * self._error_variance(prior)))
+                errors.append(np.sqrt(found.error_scale * self._error_variance(prior)))
         image_cells = np.stack(cells, axis=1)
         told = tuple(self._told(worst))
         return image_cells, np.stack(errors, axis=1) if errors else None, told
@@ -149,12 +151,12 @@ class MovingScene:
         if scale == 0:
             empty = np.zeros(self.operator.grid.shape)
             unsolved = solvers.Solved(empty, 0.0, 0)
-            return _Estimate(unsolved, level, scale, solvers.Prior(1.0), is_fitted=False)
+            return _Estimate(unsolved, level, 0.0, solvers.Prior(1.0), 0.0, is_fitted=False)
         least = self._least_ratio
         prior = solvers.Prior(max(noise / scale, least))
         fits = self.knobs.prior_rows > 0 and self.timed.count >= _FEWEST_FITTED
         if fits:
-            prior = fitted_prior(
+            fitted = fitted_prior(
                 self.operator,
                 self.timed,
                 values,
@@ -163,11 +165,14 @@ class MovingScene:
                 least_ratio=least,
                 most_rows=self.knobs.prior_rows,
             )
+            prior = fitted.prior
         solved = self._solver(prior)(values)
+        error_scale = scale
         if fits:  # chi-square per measurement of 1
             left = values - self.operator.forward(solved.unknowns)
             scale = max(float(values @ left) / (prior.ratio * self.timed.count), 0.0)
-        return _Estimate(solved, level, scale, prior, fits)
+            error_scale = max(scale, fitted.predicting_scale)
+        return _Estimate(solved, level, scale, prior, error_scale, fits)
 
     @property
     def _least_ratio(self) -> float:
@@ -210,13 +215,6 @@ class MovingScene:
         return np.asarray(uniform_filter(squares, _BLOCK, mode="nearest").ravel())
 
     def _told(self, residual: float) -> Iterator[str]:
-        parts = self.knobs.oversampling
-        if isinstance(self.motion, Layers) and self.motion.is_rounded(parts, self.operator.grid):
-            yield (
-                f"motion: edges of boxes are rounded to 1/{parts} of a cell: standard errors leave "
-                "that out, and were 1.5 times too small in the mean of a test; give edges at whole "
-                "cells and a half, or raise `oversampling`"
-            )
         if residual > 10 * self.knobs.residual:
             yield (
                 f"motion compensation ended at a residual of {residual:.2g} after "

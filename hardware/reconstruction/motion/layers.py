@@ -5,22 +5,21 @@ holds the background, and beside it each object, apart from each other by a gap.
 the measurements are linear in all of them, whatever is covered and uncovered within the frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.reconstruction.motion.approach import PlaneMotion
-from hardware.reconstruction.motion.grid import Grid
 from hardware.reconstruction.motion.model import Motion, Translation, all_finite
 
 Array = NDArray[np.float64]
 
 #: Cells between the background and an object on the grid: the prior ties what is beside each other.
 _GAP = 4
-#: Parts of an unknown that an edge may lie off its border.
-_ROUNDED = 1e-6
+#: Share or width, in cells, of a part that counts as none.
+_SLIVER = 1e-9
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,7 @@ class MovingBox:
     motion
         How it moves.
 
-    Edges are rounded to the unknowns' size, half a cell unless ``Compensation.oversampling`` says
-    otherwise; standard errors leave that out, and a warning says so where it happens within the
-    image at the reference time. Light of the background within the box is taken as moving with
-    it: the tighter, the better.
+    Light of the background within the box is taken as moving with it: the tighter, the better.
     """
 
     top: float
@@ -91,43 +87,26 @@ class Layers(Motion):
             found[inside] = within[inside]
         return found
 
-    def brightness(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
-        """See `Motion.brightness`."""
-        found = self.background.brightness(time_s, places, shape)
-        for one in reversed(self.objects):
-            inside = one.holds(one.motion.sources(time_s, places, shape))
-            found[inside] = one.motion.brightness(time_s, places[inside], shape)
-        return found
-
     @property
     def parts(self) -> tuple[Motion, ...]:
         """See `Motion.parts`."""
         return (self.background, *(one.motion for one in self.objects))
 
-    def is_rounded(self, oversampling: int, grid: Grid) -> bool:
-        """Whether an edge within the image at the reference time lies within an unknown."""
-        for box in self.objects:
-            low, high = np.array([box.top, box.left]), np.array([box.bottom, box.right])
-            end = np.array([grid.rows, grid.columns]) - 0.5
-            if (high <= -0.5).any() or (low >= end).any():
-                continue
-            for edge in (low, high):
-                at = (edge + 0.5) * oversampling
-                if ((edge > -0.5) & (edge < end) & (np.abs(at - np.rint(at)) > _ROUNDED)).any():
-                    return True
-        return False
-
-    def on_grid(self, times_s: Array, places: Array, shape: tuple[int, int]) -> list[Array]:
-        """Sources as `sources` has them at each time, objects moved to places of their own below
-        all of the background that is seen; and last those at the reference time.
+    def on_grid(
+        self, times_s: Array, places: Array, size_cells: float, shape: tuple[int, int]
+    ) -> list["Seen"]:
+        """What square parts of cells about ``places`` show at each time; and last at the reference
+        time. Objects are moved to places of their own below all of the background that is seen.
         """
         times = [*times_s.tolist(), 0.0]
-        found = [self.background.sources(t, places, shape) for t in times]
-        bottom = np.ceil(max(one[:, 0].max() for one in found)) + 1
+        found = [[Seen.all_of(self.background, t, places, shape)] for t in times]
+        bottom = np.ceil(max(layers[0].sources[:, 0].max() for layers in found)) + 1
         for box in reversed(self.objects):
-            within = [box.motion.sources(t, places, shape) for t in times]
-            inside = [box.holds(one) for one in within]
-            seen = np.concatenate([one[of] for one, of in zip(within, inside, strict=True)])
+            found = [
+                _before(layers, box, t, places, size_cells, shape)
+                for layers, t in zip(found, times, strict=True)
+            ]
+            seen = np.concatenate([layers[-1].sources for layers in found])
             if seen.size == 0:
                 continue
             # Of a box that reaches far beyond the image, what is seen of it within the frame.
@@ -135,6 +114,70 @@ class Layers(Motion):
             end = min(box.bottom, np.ceil(seen[:, 0].max()) + 1)
             first = np.array([bottom + _GAP - top, -left])
             bottom += _GAP + np.ceil(end - top)
-            for sources, one, of in zip(found, within, inside, strict=True):
-                sources[of] = one[of] + first
-        return found
+            for layers in found:
+                layers[-1] = replace(layers[-1], sources=layers[-1].sources + first)
+        return [Seen.together(layers) for layers in found]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What parts of cells show at a time: for each of n entries the index of the ``part`` (n,),
+    where it stood at the reference time, ``sources`` (n, 2), and its ``light`` (n,) over that of
+    the same place then, times the share of the part in which it is seen.
+    """
+
+    part: NDArray[np.intp]
+    sources: Array
+    light: Array
+
+    @classmethod
+    def all_of(cls, motion: Motion, time_s: float, places: Array, shape: tuple[int, int]) -> "Seen":
+        """Of one motion, in all of each part."""
+        sources = motion.sources(time_s, places, shape)
+        return cls(np.arange(len(places)), sources, motion.brightness(time_s, places, shape))
+
+    @classmethod
+    def together(cls, layers: "list[Seen]") -> "Seen":
+        """All entries that have light."""
+        part, sources, light = (
+            np.concatenate([getattr(one, name) for one in layers])
+            for name in ("part", "sources", "light")
+        )
+        lit = light > 0
+        return cls(part[lit], sources[lit], light[lit])
+
+
+def _before(
+    layers: list[Seen],
+    box: MovingBox,
+    time_s: float,
+    places: Array,
+    size_cells: float,
+    shape: tuple[int, int],
+) -> list[Seen]:
+    """Layers with a box before them, which comes last; they keep what it leaves of each part.
+
+    By the areas of both shares, each at its middle, so that an edge that moves by a fraction of a
+    part changes measurements by as much. Where two boxes end in one part, the shares are taken as
+    independent.
+    """
+    half = size_cells / 2
+    one, other = (box.motion.sources(time_s, places + side, shape) for side in (-half, half))
+    extent = np.maximum(other - one, _SLIVER)  # of the part, at the reference time
+    low = np.maximum(one, [box.top, box.left])
+    within = np.maximum(np.minimum(other, [box.bottom, box.right]) - low, 0.0)
+    share = np.minimum((within / extent).prod(axis=1), 1.0)
+    middle = low + within / 2
+    off = ((middle - one) / extent - 0.5) * size_cells  # from the part's middle
+    off_left = -off * np.where(share < 1, share / np.maximum(1 - share, _SLIVER), 0.0)[:, None]
+    behind = [
+        Seen(
+            layer.part,
+            layer.sources + off_left[layer.part],
+            layer.light * (1 - share[layer.part]),
+        )
+        for layer in layers
+    ]
+    part = np.flatnonzero(share > 0)
+    light = share[part] * box.motion.brightness(time_s, places[part], shape)
+    return [*behind, Seen(part, middle[part], light)]

@@ -16,7 +16,7 @@ from hardware.errors import InputError
 from hardware.patterns import fwht_in_place, hadamard_rows
 from hardware.reconstruction.motion.grid import Grid
 from hardware.reconstruction.motion.knobs import Compensation
-from hardware.reconstruction.motion.layers import Layers
+from hardware.reconstruction.motion.layers import Layers, Seen
 from hardware.reconstruction.motion.model import Motion, Translation
 from hardware.reconstruction.motion.timing import TimedRows
 
@@ -132,20 +132,16 @@ class WarpedPatterns:
         places = subcell_places(shape, n)
         instants = _instants(timed.time_s, motion, places, shape, knobs.step_cells)
         if layered := isinstance(motion, Layers):
-            sources = motion.on_grid(instants, places, shape)
+            seen = motion.on_grid(instants, places, 1 / n, shape)
         else:
-            sources = [motion.sources(float(t), places, shape) for t in instants]
-        low = np.min([np.zeros(2), *(s.min(axis=0) for s in sources)], axis=0)
-        high = np.max([np.array(shape) - 1.0, *(s.max(axis=0) for s in sources)], axis=0)
-        far = float(np.abs(np.array([s - places for s in sources])).max())
+            seen = [Seen.all_of(motion, float(t), places, shape) for t in instants]
+        low = np.min([np.zeros(2), *(one.sources.min(axis=0) for one in seen)], axis=0)
+        high = np.max([np.array(shape) - 1.0, *(one.sources.max(axis=0) for one in seen)], axis=0)
+        far = max(float(np.abs(one.sources - places[one.part]).max()) for one in seen)
         check_size(8.0 * n * n * n_cells * len(instants), far)
         check_size(n * n * float(np.prod(high - low + 2)), far)
         self.grid = Grid.around(shape, low - 0.5, high + 0.5, n)
-        times = [*instants.tolist(), 0.0][: len(sources)]
-        parts = [
-            _gathering(s, motion.brightness(t, places, shape), n_cells, self.grid)
-            for t, s in zip(times, sources, strict=True)
-        ]
+        parts = [_gathering(one, n_cells, self.grid) for one in seen]
         self._reference: Any = parts.pop() if layered else None
         self._warp: Any = sparse.vstack(parts, format="csr")
         self._back: Any = self._warp.T.tocsr()
@@ -258,17 +254,15 @@ def _instants(
     return np.array(found)
 
 
-def _gathering(sources: Array, brightness: Array, n_cells: int, grid: Grid) -> Any:
-    """Sparse matrix (n_cells, unknowns): the mean of each cell's parts, linear between unknowns,
-    times their brightness ``(n_parts,)``.
-    """
+def _gathering(seen: Seen, n_cells: int, grid: Grid) -> Any:
+    """Sparse matrix (n_cells, unknowns): the mean of each cell's parts, linear between unknowns."""
     from scipy import sparse
 
     n = grid.oversampling
-    at = (sources + [grid.above + 0.5, grid.left + 0.5]) * n - 0.5
+    at = (seen.sources + [grid.above + 0.5, grid.left + 0.5]) * n - 0.5
     corner = np.floor(at).astype(np.intp)
     late = at - corner
-    cell = np.arange(len(sources)) // (n * n)
+    cell = seen.part // (n * n)
     rows, columns, weights = [], [], []
     for down in (0, 1):
         for along in (0, 1):
@@ -277,7 +271,7 @@ def _gathering(sources: Array, brightness: Array, n_cells: int, grid: Grid) -> A
             c = np.clip(corner[:, 1] + along, 0, grid.shape[1] - 1)
             rows.append(cell)
             columns.append(r * grid.shape[1] + c)
-            weights.append(weight * brightness / (n * n))
+            weights.append(weight * seen.light / (n * n))
     size = (n_cells, grid.shape[0] * grid.shape[1])
     entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))
     return sparse.coo_array(entries, shape=size).tocsr()
