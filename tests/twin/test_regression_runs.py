@@ -300,6 +300,22 @@ def test_what_the_oscillator_hides_is_no_strong_echo(twin_truth) -> None:
     assert (figures(lambda _: []) >= 4).all()
 
 
+def test_echoes_of_antennas_that_take_turns_are_over_their_noise(twin_truth) -> None:
+    """Of twelve channels: what the removal of the leakage's phase noise changes of echoes, and how
+    the map is whitened, had counted as noise beside them, and one was left. A record without noise
+    would show twelve more, of the converter's rounding.
+    """
+    scene, radar = load_scene("street"), load_radar("hybrid-79-mimo")
+    capture = twin_truth.echo(scene, radar, PRESETS["draft"].with_(radar="paths"))
+
+    def undetected(detector):
+        found = run_radar(capture, radar, detector, range(1), RADAR_METRICS, 1e-6)
+        return float(found.figures["undetected_echoes"][0])
+
+    assert undetected(vehicle_detector) == 0
+    assert undetected(lambda _: []) == 2
+
+
 def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> None:
     """All 20 dB weaker; the strongest echo lost, and a ghost in its place, where none is declared:
     these had passed, the loss as a gain.

@@ -1,6 +1,6 @@
-"""Strong echoes of a scene: peaks of the map of its record without noise, of all that reflects."""
+"""Strong echoes of a scene: peaks of the map of its record, of all that reflects."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from hardware.radar import Detection, OfdmWaveform, range_doppler
 from hardware.radar.burst import DemodulatedBurst
+from hardware.radar.demodulation import Complex
+from hardware.radar.range_doppler import RangeDopplerMap
 
 Array = NDArray[np.float64]
 
@@ -46,25 +48,38 @@ class StrongEchoes:
         return int(np.count_nonzero(~found))
 
 
-def strong_echoes(quiet: DemodulatedBurst, noisy: Iterable[DemodulatedBurst]) -> StrongEchoes:
-    """Peaks of the map of a burst without noise that are 20 dB over the noise beside them.
+def strong_echoes(bursts: Sequence[DemodulatedBurst]) -> StrongEchoes:
+    """Peaks of the map of a burst that are 20 dB over the noise beside them.
 
-    ``noisy``: the same burst with a few draws of the noise. They differ by the noise at each
-    place of the map: the receiver's is the same everywhere, and the oscillator's lies round strong
-    echoes, where it hides weaker ones however far they are over the receiver's.
+    ``bursts``: it with a few draws of the noise, two at least. Echoes are what they share: without
+    noise the converter's rounding is alike in all slots, and stands in the map as echoes would. The
+    noise is what they differ by at each place of the map: the receiver's is the same everywhere,
+    and the oscillator's lies round strong echoes, where it hides weaker ones however far they are
+    over the receiver's.
     """
     from scipy.ndimage import maximum_filter, uniform_filter
 
-    wave = quiet.waveform
-    image = range_doppler(quiet.channel, wave, _WINDOW)
-    power = image.power_w
-    off = (burst.channel - quiet.channel for burst in noisy)
-    noise_w = np.mean([range_doppler(each, wave, _WINDOW).power_w for each in off], axis=0)
+    wave = bursts[0].waveform
+    mean = np.mean([burst.channel for burst in bursts], axis=0)
+    power, first = _of_channels(mean, wave)
+    off_w = [_of_channels(burst.channel - mean, wave)[0] for burst in bursts]
+    noise_w = np.sum(off_w, axis=0) / (len(bursts) - 1)
     beside_w = uniform_filter(noise_w, 2 * _NOISE_BESIDE + 1, mode="wrap")
     highest = maximum_filter(power, 2 * _BESIDE + 1, mode="wrap") <= power
     strong = power > np.maximum(_OVER_NOISE * beside_w, _SIDE_LOBES * power.max())
     rows, columns = np.nonzero(highest & strong)
-    return StrongEchoes(image.range_m[rows], image.range_rate_m_per_s[columns], wave)
+    return StrongEchoes(first.range_m[rows], first.range_rate_m_per_s[columns], wave)
+
+
+def _of_channels(channel: Complex, wave: OfdmWaveform) -> tuple[Array, RangeDopplerMap]:
+    """Mean power of the channels' maps, and the first of these: one map of all would be whitened,
+    which changes powers, and other than in a detector's where there is other noise.
+    """
+    maps = [
+        range_doppler(each, wave, _WINDOW)
+        for each in channel.reshape(-1, wave.n_subcarriers, wave.n_slots)
+    ]
+    return np.mean([one.power_w for one in maps], axis=0), maps[0]
 
 
 def _apart(off: Array, period: float) -> Array:

@@ -204,14 +204,13 @@ def run_radar(
     quiet = [received(burst, radar, capture.air, nufft_tolerance) for burst in capture.bursts]
     found, content, detect = [], hashlib.sha256(), radar_detector(detector)
 
-    def drawn(seed: int, *, noisy: bool = True) -> RadarRecord:
+    def drawn(seed: int) -> RadarRecord:
         rng = np.random.default_rng(seed)
-        taken = [digitize(burst, radar, rng=rng, noisy=noisy) for burst in quiet]
+        taken = [digitize(burst, radar, rng=rng) for burst in quiet]
         iq, flags = (np.stack([burst[i] for burst in taken]) for i in (0, 1))
         return replace(capture.record, iq=iq, flags=flags)
 
-    noisy = (demodulate(joinable(drawn(seed))) for seed in range(_NOISE_DRAWS))
-    echoes = strong_echoes(demodulate(joinable(drawn(0, noisy=False))), noisy)
+    echoes = strong_echoes([demodulate(joinable(drawn(seed))) for seed in range(_NOISE_DRAWS)])
     wave = echoes.waveform
     for seed in seeds:
         record = drawn(seed)
