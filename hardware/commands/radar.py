@@ -261,6 +261,7 @@ def _intervals(
     """
     from hardware.radar.burst import demodulate
     from hardware.radar.clutter import without_static
+    from hardware.radar.detection_warnings import ranges_of_a_spectrogram
 
     number = 0
     for record in _radar_records(path):
@@ -268,6 +269,8 @@ def _intervals(
             if burst in (None, number):
                 interval = demodulate(record, own)
                 _warn(say, path, interval.warnings)
+                if burst is not None or number == 0:
+                    _warn(say, path, tuple(ranges_of_a_spectrogram(interval)))
                 channel = without_static(interval.channel) if moving_only else interval.channel
                 if interval.whole or burst is not None:
                     middle_s = 1e-9 * float(record.device_time_ns[own].mean())

@@ -37,22 +37,38 @@ def untested_rates(waveform: OfdmWaveform, how: Processing) -> list[str]:
 
 def coupled_ranges(interval: DemodulatedBurst, how: Processing) -> list[str]:
     """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
-    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
-        why = (
-            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
-            "each m/s more"
-        )
-    elif interval.scatter_per_rate * how.fastest_m_per_s >= 1:
-        why = (
-            "carrier steps in this order smear over ranges what moves by "
-            f"{1 / interval.scatter_per_rate:.2g} m/s more"
-        )
-    else:
+    if not (why := _coupling(interval, how)):
         return []
     return [
         f"range: holds at a range rate of {how.range_rate_m_per_s:g} m/s (range_rate_m_per_s): "
         f"{why}, which its error does not hold"
     ]
+
+
+def ranges_of_a_spectrogram(interval: DemodulatedBurst) -> list[str]:
+    """As `coupled_ranges`, of a spectrogram, which looks at one range for all rates."""
+    if not (why := _coupling(interval, Processing())):
+        return []
+    cell = f"{interval.waveform.velocity_cell_m_per_s:.3g} m/s"
+    return [
+        f"range: that of what does not move; {why}: what moves is seen at less power, if at all "
+        f"(--span holds more of it), and rates are told to {cell} at best"
+    ]
+
+
+def _coupling(interval: DemodulatedBurst, how: Processing) -> str:
+    """What carrier steps do to the range of an echo that moves; empty: less than a cell."""
+    if abs(interval.range_per_rate_s) * how.fastest_m_per_s >= interval.waveform.range_cell_m:
+        return (
+            f"carrier steps one after the other shift it by {interval.range_per_rate_s:.2g} m for "
+            "each m/s more"
+        )
+    if interval.scatter_per_rate * how.fastest_m_per_s >= 1:
+        return (
+            "carrier steps in this order smear over ranges what moves by "
+            f"{1 / interval.scatter_per_rate:.2g} m/s more"
+        )
+    return ""
 
 
 def shifted_ranges(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from radar_cubes import WIDE, Echo, cube
+from radar_cubes import CARRIERS, STEP, WIDE, Echo, cube
 from ugv_command import ugv
 
 from hardware.errors import InputError
@@ -95,6 +95,17 @@ def test_the_command_tells_the_rates_of_a_range(tmp_path: Path) -> None:
     wrong = ugv("spectrogram", file, "--at", "9 m", "--burst", "3")
     assert wrong.returncode == 2
     assert "--burst 3: it holds 1" in wrong.stderr
+
+
+def test_ranges_of_carrier_steps_are_told_to_hold_at_rest(tmp_path: Path) -> None:
+    """5 m/s over 26 ms of retunes: the echo is some decimetres off the range that is looked at."""
+    point = Echo((6.0, 0, 0), velocity_m_per_s=(5.0, 0, 0))
+    file = tmp_path / "radar.h5"
+    write_radar_record(cube(STEP, [point], carriers_hz=CARRIERS, leakage=(1e-7, 1.1e-9)), file)
+    said = ugv("spectrogram", file, "--at", "6 m")
+    assert "range: that of what does not move; carrier steps" in said.stderr
+    write_radar_record(cube(WIDE, [point], noise_w=1e-14), file)
+    assert "carrier steps" not in ugv("spectrogram", file, "--at", "6 m").stderr
 
 
 @pytest.mark.library("PIL")

@@ -177,12 +177,12 @@ class CellMotion(Motion):
     cells_per_s: Array
 
     def __post_init__(self) -> None:
+        _check("motion: cells_per_s", self.cells_per_s)
         field = np.asarray(self.cells_per_s, np.float64)
         if field.ndim != 3 or field.shape[2] != 2:
             raise InputError(
                 f"motion: cells_per_s: shape {field.shape}, expected (rows, columns, 2)"
             )
-        _check("motion: cells_per_s", field)
 
     def sources(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
         """See `Motion.sources`."""
@@ -224,13 +224,17 @@ def sampled(field: Array, places: Array) -> Array:
 
 def all_finite(value: ArrayLike) -> bool:
     """Whether a value holds finite real numbers only."""
-    kind = np.asarray(value).dtype.kind
+    try:
+        kind = np.asarray(value).dtype.kind
+    except ValueError:  # lists of unequal lengths
+        return False
     return kind in "fiu" and bool(np.isfinite(np.asarray(value, np.float64)).all())
 
 
 def _check(name: str, value: ArrayLike) -> None:
     if not all_finite(value):
-        raise InputError(f"{name}: {value!r:.60}, expected finite numbers")
+        given = " ".join(repr(value).split())  # of an array in one line
+        raise InputError(f"{name}: {given:.60}, expected finite numbers")
 
 
 #: Steps, and where they end.
