@@ -368,8 +368,11 @@ def test_a_track_is_followed() -> None:
         (lambda: Shift(np.nan, 0.0), "motion: down_cells_per_s: nan, expected finite"),
         (lambda: CellMotion(np.zeros((4, 4, 2))), "motion: cells_per_s: of 4 x 4 cells"),
         (lambda: CellMotion(np.zeros((4, 4))), r"motion: cells_per_s: shape \(4, 4\)"),
-        (lambda: CellMotion(np.zeros((4, 4, 2), complex)), "cells_per_s: .*, expected finite"),
-        (lambda: CellMotion([[1.0, 2.0], [3.0]]), "cells_per_s: .*, expected finite"),
+        (
+            lambda: CellMotion(np.zeros((4, 4, 2), complex)),
+            "motion: cells_per_s: .*, expected finite",
+        ),
+        (lambda: CellMotion([[1.0, 2.0], [3.0]]), "motion: cells_per_s: .*, expected finite"),
         (lambda: Homography(np.full((3, 3), np.nan)), r"motion: rate: array\(\[\[nan, nan"),
         (lambda: Shift(0.0, 1e9), "motion: moves the image by 4.84e.08 cells"),
         (lambda: Homography(1e6 * np.eye(3)[::-1]), "motion: "),
