@@ -118,7 +118,7 @@ class Regression:
             )
 
         def errors() -> dict[str, Interval]:
-            # Normal noise of the same draws changes little with the light, Poisson's a lot.
+            # Normal noise of the same draws follows the light; an avalanche's gamma draws do not.
             noise: Noise = "none" if knobs.noise == "none" else "gaussian"
 
             def means(view: int, other: RenderedLight) -> dict[str, float]:
