@@ -16,6 +16,7 @@ from hardware import (
     Layers,
     MovingBox,
     PatternSet,
+    PlaneMotion,
     QuaternionPose,
     Shift,
     SpiRecord,
@@ -171,6 +172,14 @@ def test_boxes_that_hide_each_other() -> None:
         1.0, np.array([[1.0, 3.0], [1.0, 1.0], [6.0, 1.0], [9.0, 9.0]]), (N, N)
     )
     np.testing.assert_allclose(sources, [[1.0, 1.0], [1.0, 3.0], [6.0, 3.0], [9.0, 9.0]])
+
+
+def test_a_box_that_comes_nearer_is_brighter_than_what_it_hides() -> None:
+    """One at 10 m that comes 2 m nearer: (10 / 8)^2 times the light, in it alone."""
+    nearer = PlaneMotion(10.0, (-2.0, 0.0, 0.0), FIELD)
+    layers = Layers(Shift(0, 0), (MovingBox(4, 4, 28, 28, nearer),))
+    places = np.array([[15.5, 15.5], [1.0, 1.0]])
+    np.testing.assert_allclose(layers.brightness(1.0, places, (N, N)), [1.5625, 1.0])
 
 
 def test_what_lies_far_beyond_the_field_takes_no_memory() -> None:

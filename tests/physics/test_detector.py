@@ -69,6 +69,20 @@ def test_poisson_numbers_are_the_quantiles_of_their_draws(mean: float) -> None:
     assert (poisson_quantile(normal, 1.001 * np.full(normal.shape, mean)) >= found).all()
 
 
+@pytest.mark.parametrize("mean", [0.3, 50.0, 1e6, 1e13])
+def test_shot_noise_follows_the_light(mean: float) -> None:
+    """With the same draws 0.3 % more light gives no exposure less, and all together 0.3 % more, to
+    five standard deviations of so many electrons.
+    """
+    from twin.detector.front_end import _shot
+
+    light = mean * np.linspace(0.5, 1.5, 5000)
+    less, more = (_shot(share * light, np.random.default_rng(1)) for share in (1.0, 1.003))
+    assert (more >= less).all()
+    scatter = 5 * np.sqrt(0.003 / less.sum())
+    assert more.sum() / less.sum() == pytest.approx(1.003, abs=scatter)
+
+
 @pytest.mark.parametrize("mean", [0.9e12, 1.1e12, 1e15, 1e19, 1e30])
 def test_shot_noise_at_the_largest_means(mean: float) -> None:
     """Where `Generator.poisson` spreads wrongly (1e14) or raises (1e19)."""

@@ -87,6 +87,14 @@ class Layers(Motion):
             found[inside] = within[inside]
         return found
 
+    def brightness(self, time_s: float, places: Array, shape: tuple[int, int]) -> Array:
+        """See `Motion.brightness`."""
+        found = self.background.brightness(time_s, places, shape)
+        for one in reversed(self.objects):
+            inside = one.holds(one.motion.sources(time_s, places, shape))
+            found[inside] = one.motion.brightness(time_s, places[inside], shape)
+        return found
+
     @property
     def parts(self) -> tuple[Motion, ...]:
         """See `Motion.parts`."""
@@ -159,7 +167,7 @@ def _before(
 
     By the areas of both shares, each at its middle, so that an edge that moves by a fraction of a
     part changes measurements by as much. Where two boxes end in one part, the shares are taken as
-    independent.
+    independent; of a camera that rolls, edges within a part are taken as along its sides.
     """
     half = size_cells / 2
     one, other = (box.motion.sources(time_s, places + side, shape) for side in (-half, half))
