@@ -51,7 +51,7 @@ def echo_behind(
     straight wave, where screens are not in one plane.
     """
     corners = _front(body)
-    parts = _divided(corners, triangle_m)
+    parts = divided(corners, triangle_m)
     wave = _waves(parts, wavenumber, gain)
     middle, is_lit = parts.mean(axis=1), np.ones(len(parts), dtype=bool)
     if field_at is None:
@@ -63,7 +63,7 @@ def echo_behind(
         is_hidden = hides(screen, parts.reshape(-1, 3)).reshape(-1, 3)
         mixed |= is_hidden.any(axis=1) & ~is_hidden.all(axis=1)
         is_lit &= ~hides(screen, middle)
-    fine = _divided(parts[mixed], triangle_m / _FINER)
+    fine = divided(parts[mixed], triangle_m / _FINER)
     seen = np.ones(len(fine), dtype=bool)
     for screen in screens:
         seen &= ~hides(screen, fine.mean(axis=1))
@@ -171,8 +171,8 @@ def _front(body: SceneObject) -> Array:
     return np.asarray(corners[outward * np.sum(normal * middle, axis=1) < 0])
 
 
-def _divided(corners: Array, size_m: float) -> Array:
-    """Triangles in as many equal ones as needed, (m, 3, 3)."""
+def divided(corners: Array, size_m: float) -> Array:
+    """Triangles (n, 3, 3) in as many equal ones as needed, (m, 3, 3)."""
     found = [np.zeros((0, 3, 3))]
     for a, b, c in corners:
         longest = max(np.linalg.norm(x) for x in (b - a, c - b, a - c))
@@ -199,12 +199,16 @@ def _waves(corners: Array, wavenumber: float, gain: Callable[[Array], Array] | N
     if gain is not None:
         level = level * gain(towards)
     phase = -2 * wavenumber * np.einsum("nci,ni->nc", corners - middle[:, None], towards)
+    return np.asarray(level * mean_over(phase) * np.exp(-2j * wavenumber * distance))
+
+
+def mean_over(phase: Array) -> Complex:
+    """Means of exp(j phase) over triangles whose phases at the corners, (n, 3), add up to 0."""
     low, mid, high = np.sort(phase, axis=1).T
     is_flat = high - low < 2e-2
     span = np.where(is_flat, 1.0, high - low)
     mean = 2 * (_along(mid, high) - _along(low, mid)) / (1j * span)
-    mean = np.where(is_flat, 1 - np.sum(phase**2, axis=1) / 24, mean)
-    return np.asarray(level * mean * np.exp(-2j * wavenumber * distance))
+    return np.asarray(np.where(is_flat, 1 - np.sum(phase**2, axis=1) / 24, mean))
 
 
 def _along(one: Array, other: Array) -> Complex:

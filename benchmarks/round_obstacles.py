@@ -2,14 +2,16 @@
 
 In random scenes, boxes and balls behind a rectangular screen or a fence of many posts, the truth is
 Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
-one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`). On the yard
-and the street it are cells of half the size, of which none is left out, and shadows followed to 45
-dB: the solver itself, finer, which says less. Bodies that stand alone are left out.
+one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
+ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`). On
+the yard and the street it are cells of half the size, of which none is left out, and shadows
+followed to 45 dB: the solver itself, finer, which says less. Bodies that stand alone are left out.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 
 import numpy as np
 import trimesh
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
 from benchmarks.kirchhoff import echo_behind, field_behind, interpolated
+from benchmarks.kirchhoff_over_ground import OverGround
 from benchmarks.radar_estimates import scene_of_objects, thing
 from benchmarks.screens_in_depth import Rectangle, field_around
 from benchmarks.timing import Figure
@@ -30,6 +33,7 @@ from twin.radar.propagation.facets.error_budget import WEAKEST
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.physical_optics import at_antenna, followed_everywhere, loss_of
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
+from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions
@@ -43,6 +47,7 @@ _RANDOM = 24  # scenes
 _KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screens
 _OF_A_KIND = 20
 _FENCES = 24
+_OVER_GROUND = 40
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
 _NOTHING = 1e-9  # of a body's level
 _PERMITTED = 0.01  # of a body's level: a tenth of the tolerance
@@ -66,32 +71,40 @@ class Compared:
 def figures() -> Iterator[Figure]:
     """Name, value and unit of everything that is measured."""
     radar = load_radar("hybrid-79")
+
+    def by_brute_force(scenes: dict[str, Scene]) -> Iterator[Compared]:
+        return chain.from_iterable(
+            against_brute_force(name, scene, radar) for name, scene in scenes.items()
+        )
+
     random = [random_scene(np.random.default_rng(seed)) for seed in range(_RANDOM)]
     named = {f"random {seed}": scene for seed, scene in enumerate(random)}
-    yield from _told("by brute force", named, against_brute_force, radar)
+    yield from _told("by brute force", by_brute_force(named))
     named = {f"fence {seed}": behind_fence(seed) for seed in range(_FENCES)}
-    yield from _told("by brute force, fences", named, against_brute_force, radar)
+    yield from _told("by brute force, fences", by_brute_force(named))
     two = {f"{kind} {seed}": kind for kind in _KINDS for seed in range(_OF_A_KIND)}
     named = {name: behind_two_screens(kind, int(name.split()[1])) for name, kind in two.items()}
-    yield from _told("by the double integral", named, against_brute_force, radar)
+    yield from _told("by the double integral", by_brute_force(named))
+    over = {f"over ground {seed}": OverGround.random(seed) for seed in range(_OVER_GROUND)}
+    by_images = chain.from_iterable(
+        against_images(name, case, radar) for name, case in over.items()
+    )
+    yield from _told("by images", by_images)
     named = {name: load_scene(name) for name in ("street", "yard")}
-    yield from _told("by finer cells", named, against_finer_cells, radar)
+    finer = chain.from_iterable(
+        against_finer_cells(name, scene, radar) for name, scene in named.items()
+    )
+    yield from _told("by finer cells", finer)
 
 
-def _told(
-    truth: str,
-    scenes: dict[str, Scene],
-    compared: Callable[[str, Scene, RadarDesign], Iterator[Compared]],
-    radar: RadarDesign,
-) -> Iterator[Figure]:
+def _told(truth: str, compared: Iterator[Compared]) -> Iterator[Figure]:
     found = []
-    for name, scene in scenes.items():
-        for one in compared(name, scene, radar):
-            found.append(one)
-            what = f"{one.scene}, {one.body}: round obstacles"
-            yield f"{what}, of the echo", 100 * one.change, "%"
-            yield f"{what}, stated error", 100 * one.stated, "%"
-            yield f"{what}, true error {truth}", 100 * one.true, "%"
+    for one in compared:
+        found.append(one)
+        what = f"{one.scene}, {one.body}: round obstacles"
+        yield f"{what}, of the echo", 100 * one.change, "%"
+        yield f"{what}, stated error", 100 * one.stated, "%"
+        yield f"{what}, true error {truth}", 100 * one.true, "%"
     ratio = np.array([one.true / one.stated for one in found])
     yield f"bodies, {truth}", float(len(found)), ""
     yield f"within what is stated, {truth}", 100 * float(np.mean(ratio <= 1)), "%"
@@ -141,7 +154,7 @@ class _Solved:
         accepted = Accepted(limit, most, fineness, everywhere)
         bodies = np.arange(len(self.names))
         surface = self.prepared.surface_of_object
-        found = echoes_behind(obstacles, surface, bodies, self.gain, accepted)
+        found = echoes_behind(obstacles, surface, bodies, [], self.gain, accepted)
         echoes = at_antenna(found.contributions, self.prepared, self.radar)
         return echoes, found.left_out * loss_of(self.radar)
 
@@ -197,6 +210,36 @@ def against_brute_force(name: str, scene: Scene, radar: RadarDesign) -> Iterator
         float(stated[k] / solved.level[k]),
         float(_rms(echo[k] - truth) / solved.level[k]),
     )
+
+
+def against_images(name: str, case: OverGround, radar: RadarDesign) -> Iterator[Compared]:
+    """The body behind a screen over a ground, direct and over it; relative to what the solver tells
+    by each pair of the radar and its image where no screen stands.
+    """
+    solver = DEFAULT.with_(radar_edges=0)
+    free, behind = (
+        trace(scene_of_objects(case.objects[:count]), radar, fidelity=solver) for count in (2, 3)
+    )
+    told, change, error = next(b for b in behind.bodies if b.objects == (case.body.name,)), 0j, 0j
+    carrier_hz = radar.ofdm.carrier_hz
+    due = case.echoes(2 * np.pi * carrier_hz / speed_of_light, radar.antenna.gain)
+    for pair, echo in due.items():
+        of_metal = _by_images(free, case.body.name, pair, carrier_hz) / echo.free
+        change += of_metal * (echo.whole - echo.lit)
+        error += _by_images(behind, case.body.name, pair, carrier_hz) - of_metal * echo.whole
+    level = told.level_amplitude
+    yield Compared(
+        name, case.body.name, abs(change) / level, told.estimated_error, abs(error) / level
+    )
+
+
+def _by_images(found: Propagation, name: str, pair: tuple[int, int], carrier_hz: float) -> complex:
+    """Single reflections at an object by two images of the radar, both ways."""
+    echoes = found.contributions
+    images = np.sort(np.stack([echoes.source, echoes.receiver]), axis=0)
+    own = (echoes.object == found.objects.index(name)) & (echoes.bounces <= 1)
+    some = echoes.take(np.flatnonzero(own & (images[0] == pair[0]) & (images[1] == pair[1])))
+    return complex(np.sum(some.amplitude * np.exp(-2j * np.pi * (carrier_hz * some.delay_s % 1))))
 
 
 def _behind_both(body: SceneObject, screens: list[Array], wavenumber: float) -> Field:

@@ -8,6 +8,7 @@ from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, plate, quad, world
 from twin.radar.propagation.diffraction.screens import screens
 from twin.radar.propagation.diffraction.shadowed_facets import front_facets
 from twin.radar.propagation.diffraction.unfollowed_waves import faint_waves
+from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.scene.scattering_models import assign_scattering_models
 
@@ -30,9 +31,10 @@ def test_waves_past_both_sides_of_a_post_differ_in_sign(half_cycles: float) -> N
     owner = np.array([-1, 0], dtype=np.int32)
     obstacles = screens(prepare_scene(scene, RADAR, roles, 0), 30.0, owner)
     assert obstacles is not None
-    facets = front_facets(obstacles, 0)
+    view = View(obstacles, 0)
+    facets = front_facets(obstacles, 0, view.place)
     strength = np.full(len(facets), 1 / len(facets))
-    found = faint_waves(obstacles, facets, 0, strength, np.full(1, 2.0)).of_body(np.ones(1))
+    found = faint_waves(view, view, facets, 0, strength, np.full(1, 2.0)).of_body(np.ones(1))
     root = np.sqrt(1j * bend)
     due = 2 * abs(erf(root * far) - erf(root * near)) / 2
     assert found == pytest.approx(due, abs=0.004)

@@ -24,13 +24,13 @@ from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.diffraction.around_edges import is_near_edges
 from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES
-from twin.radar.propagation.diffraction.blocking import distances_to, first_hit
+from twin.radar.propagation.diffraction.blocking import distances_to
 from twin.radar.propagation.diffraction.passed_waves import BIN_M, PassedWaves, waves_past
 from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadowed_facets import front_facets
+from twin.radar.propagation.diffraction.shadowed_facets import some_facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
-from twin.radar.propagation.one_way.path import offset_m
+from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.physical_optics import followed_by, scattered
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.rows import phasors
@@ -46,7 +46,6 @@ Indices = NDArray[np.int64]
 #: many of them, the nearest ones; and paths of other bodies that are followed.
 MOST_FACES, MOST_FACES_HIDDEN, MOST_ALONE, MOST_PATHS = 2000, 10_000, 16, 2**18
 _LEAST_HIDDEN = 0.02  # share of a body
-_FACETS = 512  # of a body, about, that are looked at for how much of it is hidden
 _LATER_S = 1e-11  # than the last echo of a body: 3 mm
 _SAME_M = 1e-6  # places closer than that are one
 _RATE_M_PER_S = 0.02  # of lengths, by which echoes that are joined differ at most
@@ -104,7 +103,8 @@ def corner_echoes(
             may_be_alone = faces[number] <= MOST_FACES_HIDDEN and n_alone < MOST_ALONE
             if not (may_be_alone or worth[number]):
                 continue
-            share = _hidden(obstacles, number)
+            _, is_lit = some_facets(View(obstacles, 0), number)
+            share = float(np.mean(~is_lit)) if len(is_lit) else 0.0
             if may_be_alone and (faces[number] <= MOST_FACES or share > _LEAST_HIDDEN):
                 n_alone += 1
                 found = _alone(scene, roles, prepared, radar, fidelity, body, number, followed_s)
@@ -160,20 +160,6 @@ def _near_edges(
         number, middle, radius_m = int(numbers[row]), middles[row], float(radii_m[row])
         if is_near_edges(obstacles, prepared.images[0], middle, radius_m, number):
             yield number
-
-
-def _hidden(obstacles: Screens, body: int) -> float:
-    """Of a body's facets that face the radar the share that others hide."""
-    prepared = obstacles.prepared
-    facets, source = front_facets(obstacles, body), prepared.images[0].place
-    if not len(facets):
-        return 0.0
-    facets = facets.take(np.arange(0, len(facets), max(1, len(facets) // _FACETS)))
-    off = offset_m(facets.middle) * facets.normal(source)
-    hit = first_hit(prepared, facets.middle, off, source)
-    by = np.where(hit < 0, -1, obstacles.body[np.maximum(hit, 0)])
-    is_shown = (hit < 0) | (by != body)
-    return float(np.mean(hit[is_shown] >= 0)) if is_shown.any() else 0.0
 
 
 class _Alone(NamedTuple):

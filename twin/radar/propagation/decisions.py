@@ -12,6 +12,8 @@ from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.scene.culling import OF_NOISE
 
 Array = NDArray[np.float64]
+#: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
+Decided = tuple[tuple[Decision, ...], Array]
 
 UNIT = "of the echo, or of the least level that counts"
 _FAINT = OF_NOISE, "of a cell's noise", False
@@ -154,8 +156,10 @@ def on_mirror_borders(
 def on_edges_beside(
     objects: Sequence[tuple[str, ...]], left_out: Array, permitted: float, cost_s: float
 ) -> tuple[Decision, ...]:
-    """Likewise on waves round obstacles over mirrors, and to be reflected several times."""
-    effect = "waves round obstacles, over mirrors or reflected several times, to"
+    """Likewise on waves round obstacles over several mirrors, and to be reflected several times at
+    bodies.
+    """
+    effect = "waves round obstacles, over more mirrors or reflected several times, to"
     return _on_waves(effect, objects, left_out, permitted, cost_s)
 
 

@@ -1,7 +1,7 @@
 """Effects that are taken or left out by bounds of what they add to each body's echo.
 
-The levels of bodies that bounds and errors are relative to; sharp edges, waves round obstacles,
-further reflections and bodies to which no path is traced.
+Sharp edges, waves round obstacles and over the borders of mirrors, further reflections, and bodies
+to which no path is traced.
 """
 
 from collections.abc import Sequence
@@ -11,48 +11,35 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.waveform import OfdmWaveform
 from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.body_levels import BodyLevels
 from twin.radar.propagation.corner_echoes import CornerEchoes
 from twin.radar.propagation.decisions import (
+    Decided,
     on_corners,
     on_edges,
-    on_edges_beside,
     on_faint_bodies,
     on_mirror_borders,
     on_reflections,
     on_round_obstacles,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
-from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES, levels_beside
-from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
+from twin.radar.propagation.diffraction.over_mirrors import border_levels
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.facets.body_profile import BodyProfile, body_profiles
-from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
-from twin.radar.propagation.facets.convergence import (
-    BodyEcho,
-    band_of,
-    body_echoes,
-    reference_levels,
-    spans_by,
-    summed_by,
-)
-from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
+from twin.radar.propagation.edges_beside_ways import MirroredWay
 from twin.radar.propagation.facets.reflections import ReflectionChoice
 from twin.radar.propagation.physical_optics import (
-    Scattered,
     at_antenna,
     behind,
     diffracted,
     edge_bounds,
-    followed_by,
     followed_everywhere,
     loss_of,
 )
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.scene.culling import OF_NOISE, noise_amplitude
+from twin.radar.propagation.scene.culling import noise_amplitude
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -62,94 +49,7 @@ MOST_SHADOWED = 1000
 #: Error of echoes by several reflections round obstacles: of what waves change of them, or of what
 #: is left of them.
 _OF_CORNERS = 0.05
-_WORTH = 3.0  # of what is permitted: such echoes of bodies of many facets are followed
 _NOTHING = 1e-6  # of what is permitted: a number of cells is computed however faint
-#: Decisions, and bounds of what is left out of every body's echo, relative as its errors are.
-Decided = tuple[tuple[Decision, ...], Array]
-
-
-@dataclass(frozen=True, eq=False)
-class BodyLevels:
-    """Bodies by the ``names`` of their objects, their ``echo`` over the band (n_bodies,
-    n_frequencies), the levels that errors are relative to, ``reference`` (n_bodies,), and their
-    spans in range and rate.
-    """
-
-    names: list[tuple[str, ...]]
-    of_object: NDArray[np.int32]
-    echo: NDArray[np.complex128]
-    reference: Array
-    tolerance: float
-    floor: float
-    spans: Array
-
-    @property
-    def permitted(self) -> float:
-        """Of each effect that is left out."""
-        return OF_TOLERANCE * self.tolerance
-
-    def bodies(
-        self,
-        error: Array,
-        left_out: Array,
-        profiles: Sequence[BodyProfile],
-        *,
-        is_bounded: bool,
-    ) -> tuple[BodyEcho, ...]:
-        """With their errors and bounds of what is left out, the latter relative."""
-        return body_echoes(
-            self.names,
-            self.echo,
-            error,
-            self.tolerance,
-            self.floor,
-            left_out,
-            self.spans,
-            profiles,
-            is_bounded=is_bounded,
-        )
-
-    def profiles(
-        self, echoes: Contributions, errors: ErrorsByRange, wave: OfdmWaveform
-    ) -> tuple[BodyProfile, ...]:
-        """Where in range and rate the echoes of bodies and their errors are."""
-        return body_profiles(self.of_object[echoes.object], len(self.names), echoes, errors, wave)
-
-    def rms_of(self, echoes: Contributions, radar: RadarDesign) -> Array:
-        """Amplitude of every body's part of echoes, rms over the band, (n_bodies,)."""
-        owner, wave = self.of_object[echoes.object], radar.ofdm
-        echo = summed_by(owner, len(self.names), echoes, wave.carrier_hz, band_of(wave))
-        level: Array = np.sqrt(np.mean(np.abs(echo) ** 2, axis=1))
-        return level
-
-    def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "BodyLevels":
-        """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""
-        silent: NDArray[np.bool_] = ~np.asarray(self.echo.any(axis=1))
-        owner = self.of_object[edges.object]
-        owner = np.where((owner >= 0) & silent[owner], owner, -1)
-        count = len(self.names)
-        echo = summed_by(owner, count, edges, wave.carrier_hz, band_of(wave))
-        spans = np.where(silent[:, None, None], spans_by(owner, count, edges), self.spans)
-        return replace(self, echo=self.echo + echo, spans=spans)
-
-
-def body_levels(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    of_bodies: Scattered,
-    surfaces: Contributions,
-) -> BodyLevels:
-    """Of bodies, with what of ``surfaces``, echoes at the antenna, is theirs."""
-    body, wave = of_bodies.body, radar.ofdm
-    count = len(of_bodies.error)
-    owner = body[surfaces.object]
-    echo = summed_by(owner, count, surfaces, wave.carrier_hz, band_of(wave))
-    names = [tuple(prepared.items[i].name for i in np.flatnonzero(body == k)) for k in range(count)]
-    tolerance, floor = fidelity.radar_tolerance, OF_NOISE * noise_amplitude(radar)
-    reference = reference_levels(echo, tolerance, floor)
-    spans = spans_by(owner, count, surfaces)
-    return BodyLevels(names, body, echo, reference, tolerance, floor, spans)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +71,8 @@ class RoundObstacles:
         if not len(self.echoes):
             return ()
         return (
-            "waves round obstacles' edges are reflected once at bodies, and at no large surface",
+            "waves round obstacles' edges are reflected once at bodies, and once at most at large "
+            "surfaces on either way",
         )
 
     def decided_by(self, levels: BodyLevels) -> Decided:
@@ -194,9 +95,12 @@ def round_obstacles(
     radar: RadarDesign,
     fidelity: Fidelity,
     levels: BodyLevels,
+    mirrored: Sequence[MirroredWay],
     obstacles: Screens | None,
 ) -> RoundObstacles:
-    """Of all bodies, or by bounds of those whose echo they may change too much."""
+    """Of all bodies, or by bounds of those whose echo they may change too much; ``mirrored``: ways
+    over mirrors that are followed, too.
+    """
     nothing = np.zeros(len(levels.names))
     most = fidelity.radar_shadowed
     if most == 0 or len(prepared.world.face_ranges) < 2 or not len(nothing):
@@ -208,7 +112,7 @@ def round_obstacles(
         fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
         faintest=followed_everywhere(fidelity),
     )
-    found = behind(prepared, radar, obstacles, accepted)
+    found = behind(prepared, radar, obstacles, mirrored, accepted)
     return RoundObstacles(
         found.contributions,
         found.bound * loss,
@@ -256,75 +160,6 @@ def corners(
     left_out = _OF_CORNERS * np.minimum(bound, remain)
     left_out += 0.5 * remain * np.sqrt(found.hidden / np.maximum(1 - found.hidden, 1e-3))
     return on_corners(levels.names, bound, found.bodies, levels.permitted, found.cost_s), left_out
-
-
-def worth_following(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    levels: BodyLevels,
-    lit: Contributions,
-    obstacles: Screens | None,
-) -> NDArray[np.bool_]:
-    """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
-    a few times what is permitted, (n_bodies,).
-    """
-    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
-    if fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1 or is_city:
-        return np.zeros(len(levels.names), dtype=bool)
-    is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
-    some = lit.take(np.flatnonzero(is_direct))
-    change = _beside(prepared, radar, fidelity, levels, some, obstacles)
-    return change > _WORTH * levels.permitted * levels.reference
-
-
-def edges_beside(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    levels: BodyLevels,
-    lit: Contributions,
-    followed: NDArray[np.bool_],
-    obstacles: Screens | None,
-) -> Decided:
-    """What edges of obstacles may change of echoes that are not followed round these: over mirrors,
-    and by several reflections at bodies other than the ``followed`` ones, (n_bodies,).
-    """
-    is_mirrored = (lit.source > 0) | (lit.receiver > 0)
-    body = levels.of_object[lit.object]
-    rows = np.flatnonzero(is_mirrored | ((lit.bounces > 1) & ~followed[body]))
-    if fidelity.radar_shadowed is not None or not len(rows):
-        return (), np.zeros(len(levels.names))
-    began_s = perf_counter()
-    change = _beside(prepared, radar, fidelity, levels, lit.take(rows), obstacles)
-    left_out = change / levels.reference
-    cost_s = perf_counter() - began_s
-    return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
-
-
-def _beside(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    levels: BodyLevels,
-    some: Contributions,
-    obstacles: Screens | None,
-) -> Array:
-    """What waves over edges of obstacles may change of some echoes, in amplitude, (n_bodies,)."""
-    if obstacles is None or not len(some):
-        return np.zeros(len(levels.names))
-    obstacles = followed_by(obstacles, fidelity)
-    body = levels.of_object[some.object]
-    ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
-    pairs, number = np.unique(np.stack([np.tile(body, 2), ends], 1), axis=0, return_inverse=True)
-    points = {
-        one: points_of(prepared, np.flatnonzero(levels.of_object == one))
-        for one in np.unique(body).tolist()
-    }
-    waves = levels_beside(obstacles, [(b, image) for b, image in pairs.tolist()], points)
-    out, back = waves[number.reshape(2, -1)]
-    change = some.amplitude * ((1 + out) * (1 + back) - 1)
-    return levels.rms_of(replace(some, amplitude=change), radar)
 
 
 def faint_bodies(

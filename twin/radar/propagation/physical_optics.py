@@ -216,9 +216,15 @@ def edge_bounds(prepared: PreparedScene, radar: RadarDesign) -> dict[int, EdgeBo
 
 
 def behind(
-    prepared: PreparedScene, radar: RadarDesign, obstacles: Screens | None, accepted: Accepted
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    obstacles: Screens | None,
+    over_mirrors: Sequence[tuple[int, int, int]],
+    accepted: Accepted,
 ) -> RoundObstacles:
-    """Echoes of bodies by diffracted paths around others."""
+    """Echoes of bodies by diffracted paths around others; ``over_mirrors`` as of
+    `echoes_behind`.
+    """
     body = _bodies(prepared)
     bodies = np.unique(body[prepared.worth.any(axis=0) & (body >= 0)]).astype(np.int64)
     if obstacles is None or not len(bodies):
@@ -229,7 +235,9 @@ def behind(
         both: Array = radar.antenna.gain(directions @ prepared.axes.T)
         return both
 
-    return echoes_behind(obstacles, prepared.surface_of_object, bodies, gain, accepted)
+    return echoes_behind(
+        obstacles, prepared.surface_of_object, bodies, over_mirrors, gain, accepted
+    )
 
 
 def obstacles_of(prepared: PreparedScene, fidelity: Fidelity) -> Screens | None:

@@ -9,20 +9,19 @@ from numpy.typing import NDArray
 from twin.errors import InputError
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.body_levels import body_levels
 from twin.radar.propagation.corner_echoes import corner_echoes
 from twin.radar.propagation.diffraction.corners import longest_m
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens, screens
+from twin.radar.propagation.edges_beside_ways import edges_beside, mirrored_ways, worth_following
 from twin.radar.propagation.effects_by_bounds import (
-    body_levels,
     corners,
-    edges_beside,
     faint_bodies,
     further_reflections,
     mirror_borders,
     round_obstacles,
     sharp_edges,
-    worth_following,
 )
 from twin.radar.propagation.facets.body_scattering import OF_TOLERANCE
 from twin.radar.propagation.facets.earlier import TracedFrame
@@ -114,9 +113,9 @@ def echoes(
     if len(of_corners.replaced) or len(of_corners.echoes):
         rest = lit.take(np.delete(np.arange(len(lit)), of_corners.replaced))
         lit = Contributions.concatenate([rest, at_antenna(of_corners.echoes, prepared, radar)])
-    behind = round_obstacles(
-        prepared, radar, fidelity, body_levels(prepared, radar, fidelity, of_bodies, lit), obstacles
-    )
+    hard = body_levels(prepared, radar, fidelity, of_bodies, lit)
+    mirrored = mirrored_ways(prepared, radar, fidelity, hard, lit, obstacles)
+    behind = round_obstacles(prepared, radar, fidelity, hard, mirrored, obstacles)
     shadowed = at_antenna(behind.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
     levels = body_levels(prepared, radar, fidelity, of_bodies, surfaces)
@@ -127,7 +126,9 @@ def echoes(
         (edges := sharp_edges(prepared, radar, fidelity, levels)).decided,
         behind.decided_by(levels),
         corners(of_corners, prepared, radar, levels),
-        edges_beside(prepared, radar, fidelity, levels, lit, of_corners.bodies, obstacles),
+        edges_beside(
+            prepared, radar, fidelity, levels, lit, of_corners.bodies, mirrored, obstacles
+        ),
         mirror_borders(prepared, radar, fidelity, levels, lit),
     ):
         decisions += decided

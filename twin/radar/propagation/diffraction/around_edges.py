@@ -43,12 +43,14 @@ from twin.radar.propagation.diffraction.two_obstacles import (
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
+from twin.radar.propagation.rows import phasors
 from twin.radar.propagation.scene.images import Image, mirrored
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _PAIRS = 2**20  # of points and edges, at once
+_LEVEL = 0.1  # cosine between the way beside an edge and a mirror on which it stands, at least
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
 
@@ -67,7 +69,8 @@ def _together(parts: list[_Singles]) -> _Singles:
 
 class AllPaths(NamedTuple):
     """Paths to points, the number of the point that each leads to, (n,), and those that are
-    diffracted, which are the last ones, as the segment sees them on which they are.
+    diffracted, which are the last ones, as they are seen from the image: in front of mirrors where
+    these show them.
     """
 
     paths: PointPaths
@@ -80,6 +83,14 @@ class AllPaths(NamedTuple):
         power = np.sum(np.abs(field) ** 2, axis=1)
         share: NDArray[np.complex128] = np.sum(self.paths.field * field.conj(), axis=1)
         return share / np.where(power > 0, power, 1.0)
+
+    def field(self, straight: PointPaths, wavenumber: float) -> NDArray[np.complex128]:
+        """Sum of all waves over the straight one, at each of the points that these lead to."""
+        longer_m = self.paths.extra - straight.extra[self.point]
+        wave = self.over(straight) * phasors(-(wavenumber * longer_m % (2 * np.pi)))
+        total = np.zeros(len(straight.length), dtype=np.complex128)
+        np.add.at(total, self.point, wave)
+        return total
 
 
 def all_paths_to_points(
@@ -114,7 +125,7 @@ def all_paths_to_points(
             point_paths.append(
                 _point_paths(obstacles, unobstructed.take(paths.point), paths, segment)
             )
-            diffracted.append(paths)
+            diffracted.append(segment.shown(paths))
     at = np.flatnonzero(clear)
     return AllPaths(
         PointPaths.concatenate([unobstructed.take(at), *point_paths]),
@@ -174,6 +185,15 @@ class Segment:
         """Vertices of paths from the points to the radar, (m, n, 3); ``edges``: at (n, 2, 3)."""
         prepared = self.obstacles.prepared
         return folded(prepared, self.image, self.level, self.places[paths.point], edges)
+
+    def shown(self, paths: DiffractedPaths) -> DiffractedPaths:
+        """Paths as the mirrors behind the segment show them, to the points themselves."""
+        stops, beside = paths.stops, paths.stops + paths.aside
+        along = paths.stops[:, 1] + paths.along
+        for number in self.image.patches[self.level :]:
+            flat = self.obstacles.prepared.flats[number]
+            stops, beside, along = (mirrored(x, flat) for x in (stops, beside, along))
+        return replace(paths, stops=stops, aside=beside - stops, along=along - stops[:, 1])
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
         """Obstacles that may reach into the Fresnel ellipsoid of the path to any active point, or
@@ -247,7 +267,24 @@ class Segment:
     ) -> DiffractedPaths:
         o = self.obstacles
         paths = along(rim, self.source, self.seen[rows], o.wavenumber, o.faintest)
+        paths = self._beside_mirrors(paths)
         return replace(paths, point=rows[paths.point], item=np.full(len(paths.point), item))
+
+    def _beside_mirrors(self, paths: DiffractedPaths) -> DiffractedPaths:
+        """Paths over edges next to a mirror on which these stand: it shows how they go on, so that
+        rays pass beside them along the mirror instead of round their ends, into it.
+        """
+        aside, size = paths.aside.copy(), np.linalg.norm(paths.aside[:, 0], axis=1)
+        is_edge = (paths.along != 0).any(axis=1)
+        for number in self.image.patches[max(self.level - 1, 0) : self.level + 1]:
+            flat = self.obstacles.prepared.flats[number]
+            height = np.abs((paths.stops[:, 0] - flat.point) @ flat.normal)
+            level = aside - (aside @ flat.normal)[..., None] * flat.normal
+            length = np.linalg.norm(level, axis=2, keepdims=True)
+            is_near = is_edge & (height < size) & (length[:, 0, 0] > _LEVEL * size)
+            turned = level * (size[:, None, None] / np.maximum(length, 1e-300))
+            aside[is_near] = turned[is_near]
+        return replace(paths, aside=aside)
 
     def _twice(
         self, item: int, rows: Indices, paths: DiffractedPaths, is_open: NDArray[np.bool_]

@@ -6,7 +6,8 @@ phase, on its own side of the shadow's border. Over two parallel edges it is the
 (`double_bends`). Of paths over two edges askew, and over ends, the amplitude is taken as the same.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -43,7 +44,7 @@ class Bends:
     Parameters
     ----------
     source
-        Where the straight wave comes from, (3,).
+        Where the straight wave of each comes from, (n, 3).
     known
         The place that each path leads to, (n, 3).
     begin
@@ -70,16 +71,16 @@ class Bends:
 
     @staticmethod
     def none(source: Array, known: Array, wavenumber: float) -> "Bends":
-        """Of straight paths."""
+        """Of straight paths from one place (3,)."""
         places, nothing = np.tile(source, (len(known), 1)), np.zeros((len(known), 3))
         neither = np.zeros((len(known), 2, 3))
-        return Bends(source, known, places, places, nothing, nothing, neither, wavenumber)
+        return Bends(places, known, places, places, nothing, nothing, neither, wavenumber)
 
     @staticmethod
     def of(
         source: Array, known: Array, diffracted: DiffractedPaths | None, wavenumber: float
     ) -> "Bends":
-        """Of paths, the last of which are diffracted."""
+        """Of paths from one place (3,), the last of which are diffracted."""
         paths = Bends.none(source, known, wavenumber)
         if diffracted is None:
             return paths
@@ -102,18 +103,14 @@ class Bends:
             aside=np.concatenate([paths.aside[:count], aside]),
         )
 
-    def take(self, which: NDArray[Any]) -> "Bends":
-        """Only some of them, by index or mask."""
-        return Bends(
-            self.source,
-            self.known[which],
-            self.begin[which],
-            self.stop[which],
-            self.along[which],
-            self.lit[which],
-            self.aside[which],
-            self.wavenumber,
-        )
+    @staticmethod
+    def concatenate(parts: "Sequence[Bends]") -> "Bends":
+        """One after the other, at least one."""
+        names = [f.name for f in fields(Bends) if f.name != "wavenumber"]
+        rows: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in names
+        }
+        return replace(parts[0], **rows)
 
     def to(self, path: Indices, places: Array) -> Change:
         """Of paths by number, (m,), from where they are known to places (m, 3).
@@ -121,7 +118,7 @@ class Bends:
         Across the border of a shadow the straight wave of the known place, or its absence, is kept:
         the wave over the edge goes on steadily and takes the step with it.
         """
-        towards = self.source - places
+        towards = self.source[path] - places
         straight = lengths(towards)
         longer, back = np.zeros(len(path)), towards / np.maximum(straight, 1e-300)[:, None]
         factor = np.ones(len(path), dtype=complex)
@@ -159,7 +156,7 @@ class Bends:
         some = np.flatnonzero(self._is_double)
         stops = np.stack([self.begin[some], self.stop[some]], axis=1)
         return DoubleBends(
-            self.source,
+            self.source[some],
             self.known[some],
             stops,
             self.along[some],
@@ -194,6 +191,6 @@ class Bends:
         share = off[0] / np.maximum(off[0] + off[1], 1e-300)
         towards = stop + (at[0] + share * (at[1] - at[0]))[:, None] * along - places
         distance = np.maximum(lengths(towards), 1e-300)
-        before = lengths(begin - self.source)
+        before = lengths(begin - self.source[path])
         length = before + np.hypot(off[0] + off[1], at[1] - at[0])
         return np.maximum(length - straight, 0), towards / distance[:, None]

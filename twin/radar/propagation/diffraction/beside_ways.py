@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadow_bounds import are_beside, change_beside
+from twin.radar.propagation.diffraction.shadow_bounds import change_beside
+from twin.radar.propagation.diffraction.views import are_beside, between_mirrors
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.scene.images import Image, mirrored
 
@@ -65,20 +66,7 @@ def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array
                 for item in members
             ]
         )
-        rim = _between_mirrors(obstacles, image, leg, rim)
+        rim = between_mirrors(obstacles, image, leg, rim)
         if len(rim.ends):
             square += change_beside(rim, direct, obstacles.wavenumber) ** 2
     return square
-
-
-def _between_mirrors(obstacles: Screens, image: Image, leg: int, rim: Outline) -> Outline:
-    """Edges before the mirror that ends a leg and behind that at which it begins."""
-    source, flats = image.places[leg], obstacles.prepared.flats
-    middle = rim.ends.mean(axis=1) + source
-    is_there = np.ones(len(middle), dtype=bool)
-    for patch, side in ((leg - 1, -1), (leg, 1)):
-        if 0 <= patch < len(image.patches):
-            flat = flats[image.patches[patch]]
-            heights = (middle - flat.point) @ flat.normal
-            is_there &= side * heights * ((source - flat.point) @ flat.normal) > 0
-    return rim.take(np.flatnonzero(is_there))

@@ -28,9 +28,20 @@ def folded(prepared: PreparedScene, image: Image, level: int, places: Array, sto
     for flat, aim in zip(patches[level:][::-1], aims[:0:-1], strict=True):
         chain.append(_mirror(chain[-1], aim, flat))
     chain += [stops[:, 1], stops[:, 0]]
-    for flat, image_place in zip(patches[:level][::-1], image.places[level:0:-1], strict=True):
-        chain.append(_mirror(chain[-1], image_place, flat))
-    return np.stack([*chain, np.broadcast_to(image.places[0], places.shape)])
+    return np.stack([*chain, *_home(prepared, image, level, stops[:, 0])])
+
+
+def straight_home(prepared: PreparedScene, image: Image, places: Array) -> Array:
+    """Vertices (m, n, 3) of paths from points past all mirrors to the radar, as of `folded`."""
+    return np.stack([places, *_home(prepared, image, len(image.patches), places)])
+
+
+def _home(prepared: PreparedScene, image: Image, level: int, begin: Array) -> list[Array]:
+    """From points on a leg past the mirrors before it to the radar."""
+    chain = [begin]
+    for number, aim in zip(image.patches[:level][::-1], image.places[level:0:-1], strict=True):
+        chain.append(_mirror(chain[-1], aim, prepared.flats[number]))
+    return [*chain[1:], np.broadcast_to(image.places[0], begin.shape)]
 
 
 def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:

@@ -6,21 +6,21 @@ every facet their own length, direction and knife-edge factor (`bends`): from ce
 over one edge go on without a step, which would echo by itself.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.bends import Bends
-from twin.radar.propagation.diffraction.blocking import first_hit
 from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.diffraction.shadowed_facets import Facets, shown_facets
 from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed, sums
+from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.one_way.path import offset_m
-from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
+from twin.radar.propagation.one_way.points import PointPaths
 from twin.radar.propagation.rows import dots, lengths
 from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
@@ -35,39 +35,38 @@ _FAINT_PAIRS = 0.1  # of the faintest single path: pairs of paths; behind a fenc
 
 
 def cell_echoes(
-    obstacles: Screens,
+    views: TwoViews,
     facets: Facets,
     body: int,
     surface_of_object: NDArray[np.uint32],
     gain: Callable[[Array], Array],
 ) -> tuple[Contributions, float]:
-    """Contributions of all facets of some cells of a body, by diffracted paths, without gains; and
-    the root of the sum of squares of how much the echo of each cell, with gains, changes with each
-    of the paths to it.
+    """Contributions of all facets of some cells of a body, by diffracted paths of two views,
+    without gains; and the root of the sum of squares of how much the echo of each cell, with gains,
+    changes with each of the paths to it.
     """
-    source = obstacles.prepared.images[0].place
-    normal = facets.normal(source)
-    hit = first_hit(obstacles.prepared, facets.middle, offset_m(facets.middle) * normal, source)
-    is_own = (hit >= 0) & (obstacles.body[np.maximum(hit, 0)] == body)
-    facets, normal, is_lit = facets.take(~is_own), normal[~is_own], hit[~is_own] < 0
+    facets, is_lit = shown_facets(views, facets, body)
     if not len(facets):
         return Contributions.none(), 0.0
-    _, cell = np.unique(facets.cell, return_inverse=True)
-    facets = replace(facets, cell=cell.reshape(-1))
     row = middle_facets(facets)
-    place, off = facets.middle[row], (offset_m(facets.middle) * normal)[row]
-    straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
-    ways, cell_is_lit = _ways(obstacles, place, off, straight, body)
-    none = Bends.none(source, place, obstacles.wavenumber)
-    every = np.arange(len(place))
-    alone = Ways(every, straight, none, every, every, np.ones(len(place), dtype=complex))
-    current = radiated(obstacles, facets, straight.take(facets.cell), surface_of_object)
+    place, normal = facets.middle[row], facets.normal(views.one.place)[row]
+    off = offset_m(place) * normal
+    straight = [view.straight(place, off) for view in views.each]
+    found = [
+        _OneWay.of(view, place, off, path, body)
+        for view, path in zip(views.each, straight, strict=True)
+    ]
+    ways = _ways(found, views.one.obstacles.faintest)
+    current = _radiated_both(views, facets, straight, surface_of_object)
     # Facets beyond a border that divides their cell.
-    step = cell_is_lit[facets.cell].astype(np.float64) - is_lit
-    echoes, over_edges = summed(obstacles, facets, current, ways, straight.length)
-    beyond, straight_on = summed(obstacles, facets, current * step, alone, straight.length)
+    cell_is_lit = np.all([one.is_lit for one in found], axis=0)
+    step = cell_is_lit[facets.cell].astype(np.float64) - is_lit.all(axis=0)
+    echoes, over_edges = summed(views.one.obstacles, facets, current, ways)
+    alone = _straight(views, straight)
+    beyond, straight_on = summed(views.one.obstacles, facets, current * step, alone)
     of_paths = _of_paths(ways, over_edges, straight_on)
-    level = np.linalg.norm(gain(-straight.back)[ways.cell] * of_paths)
+    gains = np.sqrt(gain(straight[0].departure) * gain(straight[-1].departure))
+    level = np.linalg.norm(gains[ways.cell] * of_paths)
     return Contributions.concatenate([echoes, beyond]), float(level)
 
 
@@ -95,49 +94,108 @@ def middle_facets(facets: Facets) -> Indices:
     return order[np.unique(cell[order], return_index=True)[1]]
 
 
-def _ways(
-    obstacles: Screens, place: Array, off: Array, straight: PointPaths, body: int
-) -> tuple[Ways, NDArray[np.bool_]]:
-    """Of which at least one path is over an edge; and which cells are in the light, (n_cells,)."""
-    own = np.full(len(place), body)
-    context, source = obstacles.prepared.context, obstacles.prepared.images[0].place
-    found = all_paths_to_points(context, obstacles, 0, place, off, own)
-    paths, at, diffracted = found
-    bends = Bends.of(source, place[at], diffracted, obstacles.wavenumber)
-    share = found.over(straight)
-    one, other = matching_pairs(at, at)
-    one, other = one[one <= other], other[one <= other]
+class _OneWay(NamedTuple):
+    """Paths by one view, direct ones and over edges, the ``cell`` that each leads to, their bends,
+    and their waves over the straight ones, (n_paths,); and which cells are lit, (n_cells,).
+    """
+
+    paths: PointPaths
+    cell: Indices
+    bends: Bends
+    share: Complex
+    is_lit: NDArray[np.bool_]
+
+    @staticmethod
+    def of(view: View, place: Array, off: Array, straight: PointPaths, body: int) -> "_OneWay":
+        """To a place in each cell."""
+        obstacles, own = view.obstacles, np.full(len(place), body)
+        context = obstacles.prepared.context
+        found = all_paths_to_points(context, obstacles, view.number, place, off, own)
+        cell = found.point
+        bends = Bends.of(view.place, place[cell], found.diffracted, obstacles.wavenumber)
+        is_lit = np.zeros(len(place), dtype=bool)
+        is_lit[cell[found.paths.over < 0]] = True
+        return _OneWay(found.paths, cell, bends, found.over(straight), is_lit)
+
+
+def _ways(found: Sequence[_OneWay], faintest: float) -> Ways:
+    """There by one of the paths of a view, and back by one of the other view's or of the same one,
+    of which at least one is over an edge.
+    """
+    paths = PointPaths.concatenate([one.paths for one in found])
+    bends = Bends.concatenate([one.bends for one in found])
+    cell, share = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("cell", "share")
+    )
+    one, other = matching_pairs(found[0].cell, found[-1].cell)
+    if len(found) == 1:
+        one, other = one[one <= other], other[one <= other]
+    else:
+        other = other + len(found[0].cell)
     two_way = share[one] * share[other]
-    is_kept = is_strong(np.abs(two_way), 0 * one, _FAINT_PAIRS * obstacles.faintest)
+    is_kept = is_strong(np.abs(two_way), 0 * one, _FAINT_PAIRS * faintest)
     is_kept &= (paths.over[one] >= 0) | (paths.over[other] >= 0)
-    is_lit = np.zeros(len(place), dtype=bool)
-    is_lit[at[paths.over < 0]] = True
-    return Ways(at, paths, bends, one[is_kept], other[is_kept], two_way[is_kept]), is_lit
+    return Ways(cell, paths, bends, one[is_kept], other[is_kept], two_way[is_kept])
+
+
+def _straight(views: TwoViews, straight: Sequence[PointPaths]) -> Ways:
+    """There and back without obstacles."""
+    count, k = len(straight[0].length), views.one.obstacles.wavenumber
+    places = straight[0].back * straight[0].length[:, None]
+    places = views.one.place - places
+    bends = Bends.concatenate([Bends.none(view.place, places, k) for view in views.each])
+    every = np.arange(count)
+    cell, share = np.tile(every, len(straight)), np.ones(count, dtype=complex)
+    return Ways(
+        cell,
+        PointPaths.concatenate(straight),
+        bends,
+        every,
+        cell[-count:] + count * (len(straight) - 1),
+        share,
+    )
+
+
+def _radiated_both(
+    views: TwoViews,
+    facets: Facets,
+    straight: Sequence[PointPaths],
+    surface_of_object: NDArray[np.uint32],
+) -> Complex:
+    """Amplitude of each facet as of `radiated`, of two different views in the mean of both
+    directions, whose currents differ.
+    """
+    there, back = (straight[k].take(facets.cell) for k in (0, -1))
+    one = radiated(views.one.obstacles, facets, there, back, surface_of_object)
+    if views.are_same:
+        return one
+    return (one + radiated(views.one.obstacles, facets, back, there, surface_of_object)) / 2
 
 
 def radiated(
     obstacles: Screens,
     facets: Facets,
-    path: PointPaths,
+    there: PointPaths,
+    back: PointPaths,
     surface_of_object: NDArray[np.uint32],
 ) -> Complex:
-    """Amplitude of each facet without spreading and without the phases across it: of its
-    currents.
+    """Amplitude of each facet without spreading and without the phases across it: of the currents
+    of the wave ``there``, as what goes ``back`` is received.
     """
     context, n = obstacles.prepared.context, len(facets.object)
     mi = context.mi
     across = facets.across
     area = lengths(across)
-    facing = (np.sign(dots(across, path.back)) / area)[:, None] * across
-    travel, normal, back = (vector(mi, v, "Vector3d") for v in (-path.back, facing, path.back))
+    facing = (np.sign(dots(across, there.back)) / area)[:, None] * across
+    travel, normal, home = (vector(mi, v, "Vector3d") for v in (-there.back, facing, back.back))
     cosine = -(travel.x * normal.x + travel.y * normal.y + travel.z * normal.z)
     surface = mi.UInt32(aligned(surface_of_object[facets.object].astype(np.uint32)))
     row = coefficients_at(mi, context.table, surface, cosine, mi.Bool(True))
-    parts = (path.field.real, path.field.imag)
+    parts = (there.field.real, there.field.imag)
     field = ComplexVector3(*(vector(mi, np.ascontiguousarray(v), "Vector3d") for v in parts))
     off = travel + 2 * cosine * normal
-    current = radiating(field, reflected(field, travel, normal, row), travel, off, normal, back)
+    current = radiating(field, reflected(field, travel, normal, row), travel, off, normal, home)
     current_re, current_im = host([current.re, current.im], n)
-    received = np.sum(path.field * (current_re + 1j * current_im), axis=1)
+    received = np.sum(back.field * (current_re + 1j * current_im), axis=1)
     amplitude: Complex = -1j / (8 * np.pi) * area * received
     return amplitude

@@ -37,7 +37,7 @@ class _Parts:
 
 @dataclass(frozen=True, eq=False)
 class DoubleBends:
-    """Paths from a ``source`` over two parallel edges to ``known`` places (n, 3).
+    """Paths from ``source`` (n, 3) over two parallel edges to ``known`` places (n, 3).
 
     ``stops`` (n, 2, 3) on both edges, unit vectors ``along`` them (n, 3), and ``aside`` (n, 2, 3)
     into their light.
@@ -72,12 +72,13 @@ class DoubleBends:
 
     def _parts(self, path: Indices, places: Array) -> _Parts:
         along, k = self.along[path], self.wavenumber
-        direct = places - self.source
+        source = self.source[path]
+        direct = places - source
         forward, straight = dots(direct, along), lengths(direct)
         off = np.empty((2, 2, len(path)))  # of the source and the places, of each edge
         is_lit = np.empty((len(path), 2), dtype=bool)
         for edge in (0, 1):
-            stop = self.stops[path, edge] - self.source
+            stop = self.stops[path, edge] - source
             for end, away in enumerate((stop, stop - direct)):
                 off[end, edge] = lengths(away - dots(away, along)[:, None] * along)
             across = np.cross(along, stop)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest
-from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
 
 Array = NDArray[np.float64]
@@ -55,8 +55,8 @@ def knife_edge_bound(root_q: Array) -> Array:
     return level
 
 
-def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
-    """The cells that a body's facets are in."""
+def cells_of(view: View, facets: Facets, body: int) -> Cells:
+    """The cells that a body's facets are in, as a view's waves reach them."""
     middle, cell = facets.middle, facets.cell
     size = np.bincount(cell)
     count = len(size)
@@ -64,22 +64,16 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
     radius = np.zeros(count)
     reach = np.linalg.norm(facets.corners - center[cell][:, None], axis=2).max(axis=1)
     np.maximum.at(radius, cell, reach)
-    direct = center - obstacles.prepared.images[0].place
+    direct, k = center - view.place, view.obstacles.wavenumber
     level, nearest = np.zeros(count), np.full(count, np.inf)
     steepest, aside = np.zeros(count), np.zeros(count)
     across = np.zeros((count, 3))
-    others = np.flatnonzero(obstacles.body != body)
-    deepest = np.sqrt(farthest(obstacles.faintest))
-    beside = are_beside(obstacles, others, direct, radius)
-    for column in np.flatnonzero(beside.any(axis=0)):
-        rows = np.flatnonzero(beside[:, column])
-        length_m = float(np.mean(np.linalg.norm(direct[rows], axis=1)))
-        source = obstacles.prepared.images[0].place
-        rim = obstacles.rim(int(others[column]), source, length_m, body)
+    deepest = np.sqrt(farthest(view.obstacles.faintest))
+    for rim, rows in view.rims(body, direct, radius):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(rows) if len(rim.ends) else 0, step):
             some = rows[first : first + step]
-            found = _beside(rim, direct[some], radius[some], obstacles.wavenumber)
+            found = _beside(rim, direct[some], radius[some], k)
             near = found[1] <= deepest
             level[some] += np.where(near, found[0], 0.0)
             is_nearer = near & (found[1] < nearest[some])
@@ -88,41 +82,6 @@ def cells_of(obstacles: Screens, facets: Facets, body: int) -> Cells:
             steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
             aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
     return Cells(level, nearest, steepest, aside, across)
-
-
-def are_beside(
-    obstacles: Screens,
-    others: Indices,
-    direct: Array,
-    radius: Array,
-    source: Array | None = None,
-) -> NDArray[np.bool_]:
-    """Whether paths round the bounding spheres of obstacles may be followed to cells at the ends of
-    vectors (n_cells, 3) from a ``source``, the radar itself by default, (n_cells, n).
-    """
-    towards = obstacles.centers[others]
-    towards = towards - (obstacles.prepared.images[0].place if source is None else source)
-    step = max(_MOST_PAIRS // max(len(others), 1), 1)
-    rows = np.split(np.arange(len(direct)), range(step, len(direct), step))
-    deepest = np.sqrt(farthest(obstacles.faintest))
-    size, k = obstacles.radii[others], obstacles.wavenumber
-    parts = [_gaps(towards, size, direct[some], radius[some], k) <= deepest for some in rows]
-    return np.concatenate(parts)
-
-
-def _gaps(towards: Array, size: Array, direct: Array, radius: Array, wavenumber: float) -> Array:
-    """Root of q of a path round the bounding sphere of each obstacle, at vectors (n, 3) and of
-    radii (n,), at least, (n_cells, n).
-    """
-    length = np.linalg.norm(direct, axis=1)[:, None]
-    forward = direct @ towards.T / length
-    along = np.clip(forward, 0, length)
-    square = np.sum(towards**2, axis=1) - 2 * along * forward + along**2
-    share = np.clip(along / length, 1e-6, 1.0)
-    gap = np.sqrt(np.maximum(square, 0)) - size - radius[:, None] * share
-    bend = wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
-    root_q: Array = np.sqrt(bend) * np.maximum(gap, 0)
-    return root_q
 
 
 def level_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:

@@ -1,4 +1,4 @@
-"""Facets of a body that faces the radar, in cells."""
+"""Facets of a body that face the radar, or images of it, in cells."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.blocking import NOTHING
 from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.facets.uniform_subdivision import longest_edges
+from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.rows import dots, lengths
 
 Array = NDArray[np.float64]
@@ -18,6 +21,7 @@ Indices = NDArray[np.int64]
 _THIN = 8.0  # square of the longest edge over the area, of one that is four times as long as wide
 _ON_PLANE_M = 1e-9  # from a plane: a corner is on it
 _SLIVER = 1e-9  # area over the square of the longest edge, down to which parts are none
+_LOOKED_AT = 512  # facets of a body, about, where some are enough
 FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
 
 
@@ -118,8 +122,8 @@ class Facets:
         return Facets(each, np.repeat(self.object, n_parts), np.repeat(self.cell, n_parts))
 
     def cut(self, place: Array, normal: Array) -> "Facets":
-        """Cut at planes through a place (3,), with normals (n, 3)."""
-        height = np.einsum("nci,ni->nc", self.corners - place, normal)
+        """Cut at planes through places (n, 3), with normals (n, 3)."""
+        height = np.einsum("nci,ni->nc", self.corners - place[:, None], normal)
         height[np.abs(height) < _ON_PLANE_M] = 0.0
         is_cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
         some, height = self.take(is_cut), height[is_cut]
@@ -157,22 +161,54 @@ def _along(x: Array, y: Array) -> Complex:
     return value
 
 
-def front_facets(obstacles: Screens, body: int) -> Facets:
-    """Facets of a body that the radar faces, of closed meshes on the outside, in one cell."""
-    place, corners, number = obstacles.prepared.images[0].place, [], []
+def front_facets(obstacles: Screens, body: int, *places: Array) -> Facets:
+    """Facets of a body of which places (3,) all see the same side, of closed meshes the outside, in
+    one cell.
+    """
+    corners, number = [], []
     for i in np.flatnonzero(obstacles.body == body).tolist():
         geometry = obstacles.items[i].geometry
         at = obstacles.items[i].vertices_m[geometry.faces] - obstacles.prepared.anchor_m
+        low, high = at.min(axis=(0, 1)), at.max(axis=(0, 1))
         a, b, c = at.swapaxes(0, 1)
-        side = np.sign(np.sum((place - a) * np.cross(b - a, c - a), axis=1))
-        shape = geometry.shape
-        is_within = (at.min(axis=(0, 1)) <= place).all() and (place <= at.max(axis=(0, 1))).all()
-        outward = np.zeros(len(at)) if is_within else shape.outward
-        rows = np.flatnonzero(~shape.is_double & (side != 0) & (outward * side >= 0))
+        is_facing, shown = ~geometry.shape.is_double, 0.0
+        for place in places:
+            side = np.sign(np.sum((place - a) * np.cross(b - a, c - a), axis=1))
+            is_within = (low <= place).all() and (place <= high).all()
+            outward = np.zeros(len(at)) if is_within else geometry.shape.outward
+            is_facing = is_facing & (side != 0) & (outward * side >= 0) & (shown * side >= 0)
+            shown = side
+        rows = np.flatnonzero(is_facing)
         corners.append(at[rows])
         number.append(np.full(len(rows), i))
     objects = np.concatenate(number)
     return Facets(np.concatenate(corners), objects, np.zeros(len(objects), dtype=np.int64))
+
+
+def shown_facets(views: TwoViews, facets: Facets, body: int) -> tuple[Facets, NDArray[np.bool_]]:
+    """Facets that the body itself hides from neither view, and to which their mirrors lead, in
+    cells that are numbered anew; and which of them each view lights, (n_views, n).
+    """
+    obstacles = views.one.obstacles
+    off = offset_m(facets.middle) * facets.normal(views.one.place)
+    met = np.array([view.first_met(facets.middle, off) for view in views.each])
+    is_hidden = (met < NOTHING) | ((met >= 0) & (obstacles.body[np.maximum(met, 0)] == body))
+    is_shown = ~is_hidden.any(axis=0)
+    facets = facets.take(is_shown)
+    _, cell = np.unique(facets.cell, return_inverse=True)
+    return replace(facets, cell=cell.reshape(-1)), met[:, is_shown] == NOTHING
+
+
+def some_facets(view: View, body: int) -> tuple[Facets, NDArray[np.bool_]]:
+    """Of a body's facets that face a view, and that it does not hide itself, some hundreds, and
+    which of them others leave in the light.
+    """
+    facets = front_facets(view.obstacles, body, view.place)
+    facets = facets.take(np.arange(0, len(facets), max(1, len(facets) // _LOOKED_AT)))
+    if not len(facets):
+        return facets, np.zeros(0, dtype=bool)
+    facets, is_lit = shown_facets(TwoViews(view, view), facets, body)
+    return facets, is_lit[0]
 
 
 def in_voxels(facets: Facets, size_m: Array) -> Facets:

@@ -89,7 +89,8 @@ def _by_side(
     straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
     every = np.arange(len(place))
     none = Bends.none(source, place, k)
-    current = radiated(obstacles, near, straight.take(near.cell), surface_of_object)
+    there = straight.take(near.cell)
+    current = radiated(obstacles, near, there, there, surface_of_object)
     coefficient = _reflection(obstacles, side, straight.field[0])
     less, mean, more = (
         changed_by(side, near.middle - source, k + step, coefficient, is_mirror=is_known)
@@ -101,7 +102,7 @@ def _by_side(
         share *= np.exp(1j * k * length_m)
         paths = replace(straight, extra=straight.extra + length_m / 2)  # out, and back
         alone = Ways(every, paths, none, every, every, np.ones(len(place), dtype=complex))
-        parts.append(summed(obstacles, near, current * share, alone, straight.length)[0])
+        parts.append(summed(obstacles, near, current * share, alone)[0])
     square = np.abs(current * mean) ** 2
     beside = square @ side.adds_edge_waves_alone(near.middle - source, is_mirror=is_known)
     return Contributions.concatenate(parts), float(beside / max(square.sum(), 1e-300))

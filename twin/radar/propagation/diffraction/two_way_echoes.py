@@ -67,16 +67,14 @@ class _Legs:
     turn: Complex
 
     @staticmethod
-    def of(
-        obstacles: Screens, facets: Facets, ways: Ways, paths: Indices, straight_m: Array
-    ) -> "_Legs":
+    def of(obstacles: Screens, facets: Facets, ways: Ways, paths: Indices) -> "_Legs":
         """Of some paths, by number, at all facets of their cells."""
         row, facet = matching_pairs(ways.cell[paths], facets.cell)
         k, some = obstacles.wavenumber, facets.take(facet)
         middle = some.middle
         change = ways.bends.to(paths[row], middle)
-        straight = lengths(middle - obstacles.prepared.images[0].place)
-        longer_m = straight - straight_m[some.cell] + change.longer_m
+        straight = lengths(middle - ways.bends.source[paths[row]])
+        longer_m = straight - ways.paths.length[paths[row]] + change.longer_m
         corners = some.corners - middle[:, None]
         corners_m = np.stack([dots(corners[:, i], change.back) for i in range(3)])
         return _Legs(
@@ -91,25 +89,25 @@ class _Legs:
 
 
 def summed(
-    obstacles: Screens, facets: Facets, current: Complex, ways: Ways, straight_m: Array
+    obstacles: Screens, facets: Facets, current: Complex, ways: Ways
 ) -> tuple[Contributions, Complex]:
     """Contributions of facets with amplitudes (n,) by all ways to their cells; those of nearly the
     same path length as one. And the sum over each way at the carrier, (n_ways,), without the
-    internal reflections of walls. ``straight_m`` (n_cells,): lengths of the straight paths to the
-    places to which paths are known.
+    internal reflections of walls.
     """
     total = np.zeros(len(ways.one), dtype=np.complex128)
     some = np.flatnonzero(current)
     some = some[np.lexsort((facets.object[some], facets.cell[some]))]
     facets, current = facets.take(some), current[some]
     rows = np.argsort(ways.cell[ways.one], kind="stable")
-    size = np.bincount(facets.cell, minlength=len(straight_m))[ways.cell[ways.one[rows]]]
+    count = int(ways.cell.max(initial=-1)) + 1
+    size = np.bincount(facets.cell, minlength=count)[ways.cell[ways.one[rows]]]
     rows, size = rows[size > 0], size[size > 0]
     first = np.flatnonzero(np.diff(np.cumsum(size) // _AT_ONCE, prepend=-1))
     portions = np.split(rows, first[1:]) if len(rows) else []
     parts = []
     for portion in portions:
-        found, total[portion] = _of_ways(obstacles, facets, current, ways, portion, straight_m)
+        found, total[portion] = _of_ways(obstacles, facets, current, ways, portion)
         parts.append(found)
     return Contributions.concatenate(parts), total
 
@@ -120,14 +118,13 @@ def _of_ways(
     current: Complex,
     ways: Ways,
     rows: Indices,
-    straight_m: Array,
 ) -> tuple[Contributions, Complex]:
     """By some of the ways, of facets sorted by cells and, in each, by objects; and of each way, at
     the carrier.
     """
     both = np.stack([ways.one[rows], ways.other[rows]])
     paths, number = np.unique(both, return_inverse=True)
-    legs = _Legs.of(obstacles, facets, ways, paths, straight_m)
+    legs = _Legs.of(obstacles, facets, ways, paths)
     way, facet = matching_pairs(ways.cell[both[0]], facets.cell)
     size = np.bincount(way, minlength=len(rows))
     within = np.arange(len(way)) - np.repeat(np.cumsum(size) - size, size)

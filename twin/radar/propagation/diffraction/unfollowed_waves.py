@@ -7,7 +7,7 @@ estimate, not an echo. Facets at nearly one path length add up with their phases
 which the band tells apart, by their powers (Parseval).
 """
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest
-from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadow_bounds import are_beside
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
 
 Array = NDArray[np.float64]
@@ -26,7 +25,6 @@ Indices = NDArray[np.int64]
 
 _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
-_TOGETHER = 256  # outlines of objects that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +38,13 @@ class FaintWaves:
     level: Array
     length: Indices
     echo: Complex
+
+    @staticmethod
+    def concatenate(parts: "Sequence[FaintWaves]") -> "FaintWaves":
+        """Of the same cells, at least one."""
+        names = ("cell", "level", "length", "echo")
+        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return FaintWaves(parts[0].cells, *columns)
 
     def of_cells(self) -> Array:
         """Amplitude of every cell by itself, rms over the band, (n_cells,)."""
@@ -56,29 +61,30 @@ class FaintWaves:
 
 
 def faint_waves(
-    obstacles: Screens,
+    view: View,
+    other: View,
     facets: Facets,
     body: int,
     strength: Array,
     other_way: Array,
 ) -> FaintWaves:
-    """Of a body, all that are fainter than those that obstacles' edges are asked for.
+    """Of a body, all that are fainter than those that obstacles' edges are asked for, on ways of a
+    view, while the ``other`` way is straight.
 
     ``strength`` (n,): echo of each facet, were its waves in phase; ``other_way`` (n_cells,): of the
     waves on the other way, over the straight one.
     """
-    source = obstacles.prepared.images[0].place
     order = np.argsort(facets.cell, kind="stable")
     facets, strength = facets.take(order), strength[order]
     middle, size = facets.middle, np.bincount(facets.cell)
-    center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1) - source
+    center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1) - view.place
     weight = strength * other_way[facets.cell]
-    direct = middle - source
-    straight = np.linalg.norm(direct, axis=1)
-    back = -direct / straight[:, None]
-    k, deepest = obstacles.wavenumber, farthest(obstacles.faintest)
+    direct, back = middle - view.place, other.place - middle
+    straight, again = (np.linalg.norm(way, axis=1) for way in (direct, back))
+    back /= again[:, None]
+    k, deepest = view.obstacles.wavenumber, farthest(view.obstacles.faintest)
     found = [FaintWaves(len(size), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))]
-    for rim in _rims(obstacles, body, center):
+    for rim in view.all_rims(body, center):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(center) if len(rim.ends) else 0, step):
             cell, edge = _met(rim, center[first : first + step])
@@ -90,31 +96,12 @@ def faint_waves(
             # Reversed in the light: past both sides of a post, half a cycle apart, they add up.
             wave = np.where(is_shadow[is_far], 1, -1) * weight[row] * knife_edge_factor(k * longer)
             wave *= facets.take(row).mean(k * (back[row] + towards))
-            length = 2 * straight[row] + longer
+            length = straight[row] + again[row] + longer
             wave *= np.exp(-1j * (k * length % (2 * np.pi)))
             number = np.floor(length / _BIN_M).astype(np.int64)
             level = 1 / np.sqrt(4 * np.pi * k * longer)
             found.append(FaintWaves(len(size), facets.cell[row], level, number, wave))
-    columns = ([getattr(x, name) for x in found] for name in ("cell", "level", "length", "echo"))
-    return FaintWaves(len(size), *(np.concatenate(column) for column in columns))
-
-
-def _rims(obstacles: Screens, body: int, center: Array) -> Iterator[Outline]:
-    """Of what stands near the ways to cells, at vectors (n, 3) from the radar, the outer rims; of
-    all else the whole outlines, many together: rays for all of a city take seconds.
-    """
-    source = obstacles.prepared.images[0].place
-    others = np.flatnonzero(obstacles.body != body)
-    beside = are_beside(obstacles, others, center, np.zeros(len(center)))
-    is_near = np.atleast_1d(np.any(beside, axis=0))
-    reach_m = float(np.mean(np.linalg.norm(center, axis=1)))
-    for item in others[is_near].tolist():
-        yield obstacles.rim(item, source, reach_m, body)
-    far = others[~is_near]
-    for some in np.split(far, range(_TOGETHER, len(far), _TOGETHER)):
-        outlines = [obstacles.outline(item, source) for item in some.tolist()]
-        if outlines:
-            yield Outline.together(outlines)
+    return FaintWaves.concatenate(found)
 
 
 def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:

@@ -1,0 +1,165 @@
+"""Convex bodies behind a black screen over a metal ground: echoes by brute force to compare with.
+
+The ground is a mirror: by image theory it is left out, and what it shows is there instead, the
+radar's image below it and the screen's. Behind both screens, the real one and the mirrored one, is
+the field of `benchmarks.kirchhoff` from either place. The echo is that of physical optics of a
+perfect conductor, by every pair of places, on triangles smaller than half a wavelength.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from benchmarks.kirchhoff import divided, field_behind, hides, mean_over
+from benchmarks.radar_estimates import thing
+from twin.scene import SceneObject
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: The radar itself and its image below the ground.
+PAIRS = (0, 0), (0, 1), (1, 1)
+
+_TRIANGLE_M = 1.4e-3  # at 79 GHz less than half a wavelength
+_BESIDE_M = 4.0  # that the ground goes on beyond a body
+_NEXT_TO_M = 0.01  # of the ground, above which a screen that does not stand on it ends
+
+
+class Echoes(NamedTuple):
+    """Of a body by one pair of places: without the screen, with hard shadows, and in full."""
+
+    free: complex
+    lit: complex
+    whole: complex
+
+
+@dataclass(frozen=True)
+class OverGround:
+    """A body behind an upright screen, (4, 3), over a ground this far below the radar."""
+
+    body: SceneObject
+    screen: Array
+    below_m: float
+
+    @staticmethod
+    def random(seed: int) -> "OverGround":
+        """A box or a ball behind a screen that stands on the ground, hangs above it, or ends beside
+        the ways; by its top or its middle near the direct way or that over the ground.
+        """
+        rng = np.random.default_rng([seed, 77])
+        below_m, far_m = rng.uniform(0.2, 0.6), rng.uniform(4.0, 10.0)
+        size = rng.uniform(0.04, 0.1)
+        mesh = trimesh.creation.icosphere(4, radius=size / 2)
+        if rng.random() < 0.5:
+            mesh = trimesh.creation.box(size * rng.uniform(0.6, 1.5, 3))
+            mesh.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        center = np.array([far_m, rng.uniform(-0.3, 0.3), rng.uniform(0.06, 0.5) - below_m])
+        share = rng.uniform(0.3, 0.8)
+        direct = center[2] * share
+        mirrored = abs((center[2] + 2 * below_m) * share - below_m) - below_m
+        kind, wide, y = rng.integers(3), rng.uniform(0.1, 0.5), center[1] * share
+        way = direct if rng.random() < 0.5 else mirrored
+        if kind == 0:
+            top = max(way + rng.uniform(-0.06, 0.06), 0.03 - below_m)
+            sides, ends = (y - wide, y + wide), (-below_m, top)
+        elif kind == 1:
+            middle, half = way + rng.uniform(-0.05, 0.05), rng.uniform(0.03, 0.15)
+            low = max(middle - half, _NEXT_TO_M - below_m)
+            sides, ends = (y - wide, y + wide), (low, middle + half)
+        else:
+            edge = y + rng.uniform(-0.05, 0.05)
+            sides, ends = (edge, edge + wide), (-below_m, rng.uniform(0.1, 0.5))
+        corners = [(i, j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        screen = np.array([[far_m * share, sides[i], ends[j]] for i, j in corners])
+        body = thing("body", mesh.vertices + center, mesh.faces)
+        return OverGround(body, screen, below_m)
+
+    @property
+    def objects(self) -> list[SceneObject]:
+        """The body, the ground, and last the screen."""
+        far_m, z = float(self.body.vertices_m[:, 0].max()) + _BESIDE_M, -self.below_m
+        ground = [[-2, -8, z], [far_m, -8, z], [far_m, 8, z], [-2, 8, z]]
+        quads = {"ground": np.array(ground), "screen": self.screen}
+        roles = {"ground": "surface", "screen": "obstacle"}
+        return [
+            self.body,
+            *(
+                replace(thing(name, corners, [[0, 1, 2], [0, 2, 3]]), radar=roles[name])
+                for name, corners in quads.items()
+            ),
+        ]
+
+    def echoes(
+        self, wavenumber: float, gain: Callable[[Array], Array]
+    ) -> dict[tuple[int, int], Echoes]:
+        """By the radar and its image, without what the ground's metal does to the sign, and one way
+        of two alone; ``gain`` of directions (n, 3), in amplitude there and back.
+        """
+        ends = [self._place(number) for number in (0, 1)]
+        parts, is_facing = _facing(self.body, ends)
+        middle = parts.mean(axis=1)
+        ways = [end - middle for end in ends]
+        lengths = [np.linalg.norm(way, axis=1) for way in ways]
+        units = [way / length[:, None] for way, length in zip(ways, lengths, strict=True)]
+        sent = [gain(-units[0]), gain(-units[1] * [1, 1, -1])]
+        fields = [self._field(number, middle, wavenumber) for number in (0, 1)]
+        is_lit = [self._is_lit(number, middle) for number in (0, 1)]
+        a, b, c = parts.swapaxes(0, 1)
+        across = np.cross(b - a, c - a) / 2
+        found = {}
+        for i, j in PAIRS:
+            both = units[i] + units[j]
+            level = np.abs(np.sum(across * both, axis=1)) / 2 / (lengths[i] * lengths[j])
+            level *= np.sqrt(sent[i] * sent[j]) * (is_facing[i] & is_facing[j])
+            phase = wavenumber * np.einsum("nci,ni->nc", parts - middle[:, None], both)
+            turn = np.exp(-1j * wavenumber * (lengths[i] + lengths[j]))
+            wave = level * mean_over(phase) * turn
+            shares = 1.0, is_lit[i] & is_lit[j], fields[i] * fields[j]
+            found[i, j] = Echoes(*(complex(np.sum(wave * share)) for share in shares))
+        return found
+
+    def _place(self, number: int) -> Array:
+        return np.array([0.0, 0.0, -2 * self.below_m * number])
+
+    def _screens(self, number: int) -> list[Array]:
+        """As the radar or its image sees them, relative to it."""
+        if number == 0:
+            return [self.screen]
+        shown = self.screen * [1, 1, -1] + self._place(1)
+        if np.isclose(self.screen[0, 2], -self.below_m):
+            return [np.concatenate([shown[[3, 2]], self.screen[2:]]) - self._place(1)]
+        return [self.screen - self._place(1), shown[::-1] - self._place(1)]
+
+    def _field(self, number: int, places: Array, wavenumber: float) -> Complex:
+        """Over the straight wave at places (n, 3), by Babinet's principle."""
+        at = places - self._place(number)
+        behind = [field_behind(s, at, wavenumber) for s in self._screens(number)]
+        return 1 - sum((1 - one for one in behind), start=0j)
+
+    def _is_lit(self, number: int, places: Array) -> NDArray[np.bool_]:
+        at = places - self._place(number)
+        return ~np.any([hides(s, at) for s in self._screens(number)], axis=0)
+
+
+def _facing(body: SceneObject, places: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    """Small triangles (n, 3, 3) of a convex body that face any of some places, and which of these,
+    (n_places, n).
+    """
+    corners = body.vertices_m[body.geometry.faces]
+    a, b, c = corners.swapaxes(0, 1)
+    normal, middle = np.cross(b - a, c - a), corners.mean(axis=1)
+    outward = np.sign(np.sum(normal * (middle - body.vertices_m.mean(axis=0)), axis=1))
+    heights = [outward * np.sum(normal * (place - middle), axis=1) for place in places]
+    parts, facing = [], []
+    for sides in np.unique(np.array(heights) > 0, axis=1).T:
+        some = divided(
+            corners[((np.array(heights) > 0) == sides[:, None]).all(axis=0)], _TRIANGLE_M
+        )
+        if sides.any():
+            parts.append(some)
+            facing.append(np.tile(sides[:, None], len(some)))
+    return np.concatenate(parts), np.concatenate(facing, axis=1)

@@ -1,0 +1,204 @@
+"""How the radar, and images of it in mirrors, see bodies among obstacles.
+
+By an image the way to a body goes straight on past its mirrors. On each leg of it, before each
+mirror and behind the last, stand obstacles; what stands before a mirror is seen where the mirrors
+behind it show it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.radar.propagation.diffraction.blocking import NOTHING, blocker, straight_home
+from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
+from twin.radar.propagation.scene.images import Image
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_MOST_PAIRS = 2**18  # of cells and obstacles at once
+_TOGETHER = 256  # outlines of objects that are looked at together
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The radar or an image of it, by ``number``, and the obstacles of ways from there."""
+
+    obstacles: Screens
+    number: int
+
+    @property
+    def image(self) -> Image:
+        """Mirrors and places, the radar's own and after each reflection."""
+        return self.obstacles.prepared.images[self.number]
+
+    @property
+    def place(self) -> Array:
+        """From which the waves to bodies seem to come, (3,)."""
+        return self.image.place
+
+    @cached_property
+    def turns(self) -> list[Array]:
+        """Of each leg, (3, 3): from directions on it to those on the last one."""
+        turns = [np.eye(3)]
+        for patch in self.image.patches[::-1]:
+            normal = self.obstacles.prepared.flats[patch].normal
+            turns.append(turns[-1] @ (np.eye(3) - 2 * np.outer(normal, normal)))
+        return turns[::-1]
+
+    def departure(self, directions: Array) -> Array:
+        """Directions (n, 3) in which the radar sends what leaves the image in others."""
+        departure: Array = directions @ self.turns[0]
+        return departure
+
+    def straight(self, places: Array, off: Array) -> PointPaths:
+        """Paths to points (n, 3) without obstacles; ``clear``: all mirrors are met."""
+        context = self.obstacles.prepared.context
+        return paths_to_points(context, self.number, places, off, unshadowed=True)
+
+    def reflected(self, places: Array) -> Array:
+        """Level of waves at points (n, 3) after all mirrors, over that without, (n,)."""
+        if not self.image.patches:
+            return np.ones(len(places))
+        return self.straight(places, np.zeros_like(places)).level
+
+    def first_met(self, places: Array, off: Array) -> Indices:
+        """Number of the object that ways home from points (n, 3) first meet, `NOTHING`, or a number
+        below where a mirror is not on the way.
+        """
+        prepared = self.obstacles.prepared
+        met = blocker(prepared, straight_home(prepared, self.image, places), off)
+        if self.image.patches:
+            met = np.where(self.straight(places, off).clear, met, NOTHING - 1)
+        return met
+
+    def others(self, body: int) -> Indices:
+        """Numbers of the objects that may be obstacles of ways to a body: no mirror of these ways
+        is.
+        """
+        mirrors = self.obstacles.prepared.flats.object[list(self.image.patches)]
+        return np.setdiff1d(np.flatnonzero(self.obstacles.body != body), mirrors)
+
+    def rims(
+        self, body: int, direct: Array, radius: Array
+    ) -> Iterator[tuple[Outline, NDArray[np.intp]]]:
+        """Outer rims near ways to spheres, at the ends of vectors (n, 3) from here and of radii
+        (n,), of every obstacle and leg, as seen from here; and the spheres that each is near to.
+        """
+        others = self.others(body)
+        for leg in range(len(self.turns)):
+            seen, source = direct @ self.turns[leg], self.image.places[leg]
+            beside = are_beside(self.obstacles, others, seen, radius, source)
+            for column in np.flatnonzero(beside.any(axis=0)):
+                rows = np.flatnonzero(beside[:, column])
+                length_m = float(np.mean(np.linalg.norm(seen[rows], axis=1)))
+                rim = self.obstacles.rim(int(others[column]), source, length_m, body)
+                yield self._shown(rim, leg), rows
+
+    def all_rims(self, body: int, direct: Array) -> Iterator[Outline]:
+        """Of what stands near the ways to places, at vectors (n, 3) from here, the outer rims; of
+        all else the whole outlines, many together: rays for all of a city take seconds.
+        """
+        others = self.others(body)
+        reach_m = float(np.mean(np.linalg.norm(direct, axis=1)))
+        for leg in range(len(self.turns)):
+            seen, source = direct @ self.turns[leg], self.image.places[leg]
+            beside = are_beside(self.obstacles, others, seen, np.zeros(len(seen)), source)
+            is_near = np.atleast_1d(np.any(beside, axis=0))
+            for item in others[is_near].tolist():
+                yield self._shown(self.obstacles.rim(item, source, reach_m, body), leg)
+            far = others[~is_near]
+            for some in np.split(far, range(_TOGETHER, len(far), _TOGETHER)):
+                outlines = [self.obstacles.outline(item, source) for item in some.tolist()]
+                if outlines:
+                    yield self._shown(Outline.together(outlines), leg)
+
+    def _shown(self, rim: Outline, leg: int) -> Outline:
+        """Edges of a leg, relative to where it begins, as they are seen from here."""
+        if not self.image.patches:
+            return rim
+        rim, turn = between_mirrors(self.obstacles, self.image, leg, rim), self.turns[leg].T
+        return replace(rim, ends=rim.ends @ turn, lit=rim.lit @ turn, aside=rim.aside @ turn)
+
+
+class TwoViews(NamedTuple):
+    """From which a body is lit, and to which it answers; the same one twice, or both ways."""
+
+    one: View
+    other: View
+
+    @property
+    def are_same(self) -> bool:
+        """Whether there is only one."""
+        return self.one.number == self.other.number
+
+    @property
+    def each(self) -> tuple[View, ...]:
+        """Once."""
+        return (self.one,) if self.are_same else (self.one, self.other)
+
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """Of both images."""
+        return self.one.number, self.other.number
+
+    def down_to(self, faintest: float) -> "TwoViews":
+        """With waves over edges that are at least so strong."""
+        obstacles = replace(self.one.obstacles, faintest=faintest)
+        return two_views(obstacles, *self.numbers)
+
+
+def two_views(obstacles: Screens, one: int, other: int) -> TwoViews:
+    """By two images, by their numbers."""
+    first = View(obstacles, one)
+    return TwoViews(first, first if one == other else View(obstacles, other))
+
+
+def between_mirrors(obstacles: Screens, image: Image, leg: int, rim: Outline) -> Outline:
+    """Edges before the mirror that ends a leg and behind that at which it begins."""
+    source, flats = image.places[leg], obstacles.prepared.flats
+    middle = rim.ends.mean(axis=1) + source
+    is_there = np.ones(len(middle), dtype=bool)
+    for patch, side in ((leg - 1, -1), (leg, 1)):
+        if 0 <= patch < len(image.patches):
+            flat = flats[image.patches[patch]]
+            heights = (middle - flat.point) @ flat.normal
+            is_there &= side * heights * ((source - flat.point) @ flat.normal) > 0
+    return rim.take(np.flatnonzero(is_there))
+
+
+def are_beside(
+    obstacles: Screens, others: Indices, direct: Array, radius: Array, source: Array
+) -> NDArray[np.bool_]:
+    """Whether paths round the bounding spheres of obstacles may be followed to cells at the ends of
+    vectors (n_cells, 3) from a ``source``, (n_cells, n).
+    """
+    towards = obstacles.centers[others] - source
+    step = max(_MOST_PAIRS // max(len(others), 1), 1)
+    rows = np.split(np.arange(len(direct)), range(step, len(direct), step))
+    deepest = np.sqrt(farthest(obstacles.faintest))
+    size, k = obstacles.radii[others], obstacles.wavenumber
+    parts = [_gaps(towards, size, direct[some], radius[some], k) <= deepest for some in rows]
+    return np.concatenate(parts)
+
+
+def _gaps(towards: Array, size: Array, direct: Array, radius: Array, wavenumber: float) -> Array:
+    """Root of q of a path round the bounding sphere of each obstacle, at vectors (n, 3) and of
+    radii (n,), at least, (n_cells, n).
+    """
+    length = np.linalg.norm(direct, axis=1)[:, None]
+    forward = direct @ towards.T / length
+    along = np.clip(forward, 0, length)
+    square = np.sum(towards**2, axis=1) - 2 * along * forward + along**2
+    share = np.clip(along / length, 1e-6, 1.0)
+    gap = np.sqrt(np.maximum(square, 0)) - size - radius[:, None] * share
+    bend = wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
+    root_q: Array = np.sqrt(bend) * np.maximum(gap, 0)
+    return root_q

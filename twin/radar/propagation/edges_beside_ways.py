@@ -1,0 +1,199 @@
+"""Ways to bodies that edges of obstacles stand beside: which of those over mirrors or by several
+reflections are followed round the edges, and what these may change of the others.
+"""
+
+from dataclasses import replace
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.fidelity import Fidelity
+from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.body_levels import BodyLevels
+from twin.radar.propagation.decisions import Decided, on_edges_beside
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
+from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES, levels_beside
+from twin.radar.propagation.diffraction.over_mirrors import points_of
+from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.shadowed_facets import some_facets
+from twin.radar.propagation.diffraction.views import View
+from twin.radar.propagation.one_way.path import offset_m
+from twin.radar.propagation.physical_optics import followed_by
+from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.synthesis import Contributions
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+#: A way out and home, in both directions: the numbers of its body and of both images of the radar.
+MirroredWay = tuple[int, int, int]
+
+_WORTH = 3.0  # of what is permitted: echoes by several reflections at bodies of many facets
+_MOST_REFLECTIONS = 1  # at mirrors, on ways that are followed round obstacles
+#: Share of a body up to which others hide it before what they leave of its echo over mirrors tells
+#: how much edges may change.
+_MOST_HIDDEN = 0.5
+_PLACES = 16  # on a body that is hidden, about, to which waves over edges are looked for
+
+
+def worth_following(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    obstacles: Screens | None,
+) -> NDArray[np.bool_]:
+    """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
+    a few times what is permitted, (n_bodies,).
+    """
+    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
+    if obstacles is None or is_city or fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1:
+        return np.zeros(len(levels.names), dtype=bool)
+    is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
+    some = lit.take(np.flatnonzero(is_direct))
+    change = levels.rms_of(_changed(prepared, fidelity, levels, some, obstacles), radar)
+    return change > _WORTH * levels.permitted * levels.reference
+
+
+def mirrored_ways(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    obstacles: Screens | None,
+) -> tuple[MirroredWay, ...]:
+    """Ways to bodies, one of them at least over a mirror, that are followed round obstacles: those
+    on which edges may change echoes too much, ``lit`` ones or those of which others hide the most.
+    In cities none; and none over flat sides of obstacles, whose edges `side_echoes` holds.
+    """
+    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
+    if obstacles is None or is_city or fidelity.radar_shadowed == 0 or len(prepared.images) == 1:
+        return ()
+    sides = [side.item for side in obstacles.sides]
+    mirrors = [prepared.flats.object[list(image.patches)] for image in prepared.images]
+    is_few = [len(m) <= _MOST_REFLECTIONS and not np.isin(m, sides).any() for m in mirrors]
+    few = np.flatnonzero(is_few).tolist()
+    images = _images_of(lit)
+    single = (lit.bounces == 1) & (images[1] > 0) & np.isin(images, few).all(axis=0)
+    some, images = lit.take(np.flatnonzero(single)), images[:, single]
+    changed = _changed(prepared, fidelity, levels, some, obstacles)
+    ways = []
+    for pair in np.unique(images, axis=1).T.tolist():
+        by_these = np.flatnonzero((images == np.array(pair)[:, None]).all(axis=0))
+        change = levels.rms_of(changed.take(by_these), radar)
+        bodies = np.flatnonzero(change > levels.permitted * levels.reference)
+        ways += [(body, *pair) for body in bodies.tolist()]
+    followed = followed_by(obstacles, fidelity)
+    for body in range(len(levels.names)):
+        members = np.flatnonzero(levels.of_object == body)
+        seen = [image for image in few if prepared.worth[image, members].any()]
+        ways += _hidden_ways(body, followed, seen, levels.permitted)
+    return tuple(dict.fromkeys(ways))
+
+
+def _hidden_ways(
+    body: int, obstacles: Screens, images: list[int], permitted: float
+) -> list[MirroredWay]:
+    """Ways to a body that others hide from one image at least, on which waves over edges may add
+    too much to direct ones, were the body as strong by either way.
+    """
+    seen = {i: _Seen.of(View(obstacles, i), body) for i in images}
+    direct = max(seen[0].field, obstacles.faintest) if 0 in seen else 1.0
+    ways = []
+    for i, j in ((i, j) for i in images for j in images if 0 < j >= i):
+        one, other = seen[i], seen[j]
+        change = (1 if i == j else 2) * one.level * other.level * one.field * other.field
+        if not (one.is_lit and other.is_lit) and change > permitted * direct**2:
+            ways.append((body, i, j))
+    return ways
+
+
+class _Seen(NamedTuple):
+    """A body as an image sees it: whether it is lit for the most part; if it is not, the field of
+    the waves over edges there, over the straight one, rms; and the level of what mirrors reflect.
+    """
+
+    is_lit: bool
+    field: float
+    level: float
+
+    @staticmethod
+    def of(view: View, body: int) -> "_Seen":
+        """By some of its facets."""
+        facets, is_lit = some_facets(view, body)
+        if not len(facets):
+            return _Seen(True, 0.0, 0.0)
+        level = float(np.mean(view.reflected(facets.middle)))
+        if np.mean(is_lit) >= 1 - _MOST_HIDDEN:
+            return _Seen(True, 1.0, level)
+        step = max(1, len(facets) // _PLACES)
+        places, normal = facets.middle[::step], facets.normal(view.place)[::step]
+        off = offset_m(places) * normal
+        own, context = np.full(len(places), body), view.obstacles.prepared.context
+        found = all_paths_to_points(context, view.obstacles, view.number, places, off, own)
+        field = found.field(view.straight(places, off), view.obstacles.wavenumber)
+        return _Seen(False, float(np.sqrt(np.mean(np.abs(field) ** 2))), level)
+
+
+def edges_beside(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    followed: NDArray[np.bool_],
+    mirrored: tuple[MirroredWay, ...],
+    obstacles: Screens | None,
+) -> Decided:
+    """What edges of obstacles may change of echoes that are not followed round these: by single
+    reflections over mirrors on other than ``mirrored`` ways, and by several at bodies over mirrors,
+    and at other bodies than the ``followed`` ones, (n_bodies,).
+    """
+    nothing = np.zeros(len(levels.names))
+    if fidelity.radar_shadowed is not None or obstacles is None:
+        return (), nothing
+    images, body = _images_of(lit), levels.of_object[lit.object]
+    sizes = len(nothing), len(prepared.images), len(prepared.images)
+    ways = np.array(mirrored, dtype=np.int64).reshape(-1, 3).T
+    own, those = (np.ravel_multi_index(way, sizes) for way in ((body, *images), tuple(ways)))
+    is_single = np.isin(own, those)
+    is_direct = images[1] == 0
+    is_followed = np.where(lit.bounces == 1, is_single | is_direct, followed[body] & is_direct)
+    if is_followed.all():
+        return (), nothing
+    began_s = perf_counter()
+    some = lit.take(np.flatnonzero(~is_followed))
+    changed = _changed(prepared, fidelity, levels, some, obstacles)
+    left_out = levels.rms_of(changed, radar) / levels.reference
+    cost_s = perf_counter() - began_s
+    return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
+
+
+def _images_of(echoes: Contributions) -> Indices:
+    """Numbers of the radar's images of both ways, the lower ones first, (2, n)."""
+    ends = np.stack([echoes.source, echoes.receiver]).astype(np.int64)
+    return np.sort(ends, axis=0)
+
+
+def _changed(
+    prepared: PreparedScene,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    some: Contributions,
+    obstacles: Screens,
+) -> Contributions:
+    """What waves over edges of obstacles may change of some echoes."""
+    followed = followed_by(obstacles, fidelity)
+    body = levels.of_object[some.object]
+    ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
+    pairs, number = np.unique(np.stack([np.tile(body, 2), ends], 1), axis=0, return_inverse=True)
+    points = {
+        one: points_of(prepared, np.flatnonzero(levels.of_object == one))
+        for one in np.unique(body).tolist()
+    }
+    waves = levels_beside(followed, [(b, image) for b, image in pairs.tolist()], points)
+    out, back = waves[number.reshape(2, -1)]
+    return replace(some, amplitude=some.amplitude * ((1 + out) * (1 + back) - 1))
