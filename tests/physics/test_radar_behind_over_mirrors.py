@@ -65,14 +65,14 @@ def _field(obstacles: Screens, places: Array) -> np.ndarray:
 
 def test_an_edge_goes_on_in_the_mirror_on_which_it_stands() -> None:
     """Places whose ways over the ground are reflected at the foot of the screen, some mm before and
-    behind it: next to an edge's end rays pass round the end, which led into the ground, and the
-    wave over the edge was missing.
+    behind it, or right there: next to an edge's end rays pass round the end, which led into the
+    ground, and the wave over the edge was missing.
     """
     edge_m, foot, far = 0.03, 4.0, 8.0
     before_m = np.geomspace(1e-4, 0.05, 20)
-    reflected_m = foot + np.concatenate([-before_m, before_m])
+    reflected_m = foot + np.concatenate([-before_m, [0.0], before_m])
     heights = BELOW_M * (far / reflected_m - 2)
-    places = np.stack([np.full(40, far), np.full(40, 0.0), heights], axis=1)
+    places = np.stack([np.full(41, far), np.full(41, 0.0), heights], axis=1)
     found = _field(_obstacles(ground(), upright(edge_m)), places)
     bend = K / 2 * (1 / np.hypot(foot, BELOW_M) + 1 / np.hypot(far - foot, BELOW_M))
     due = erfc(-np.sqrt(1j * bend) * edge_m) / 2

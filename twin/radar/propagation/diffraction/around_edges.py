@@ -50,6 +50,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _PAIRS = 2**20  # of points and edges, at once
+#: Of points beside where they are: a way that is reflected right at the foot of an edge passes it
+#: on one of the segments before and behind the mirror, not on neither.
+_ASIDE_M = 1e-7
 _LEVEL = 0.1  # cosine between the way beside an edge and a mirror on which it stands, at least
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
@@ -147,9 +150,10 @@ class Segment:
         self.obstacles, self.image, self.level = obstacles, image, level
         self.places, self.off = places, off
         self.source = image.places[level]
-        self.seen = places
+        flats = obstacles.prepared.flats
+        self.seen = places + _ASIDE_M * flats.normal[list(image.patches)].sum(axis=0)
         for number in reversed(image.patches[level:]):
-            self.seen = mirrored(self.seen, obstacles.prepared.flats[number])
+            self.seen = mirrored(self.seen, flats[number])
 
     def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
         """Clear diffracted paths to active points, around every obstacle but their own body."""
