@@ -47,14 +47,14 @@ ERRORS_IN_95 = 2.5
 @dataclass(frozen=True, eq=False)
 class _Estimate:
     """What differs from a flat image of a level, by a prior and its scale, and whether the
-    measurements told the prior's steepness (`fitted_prior`). ``error_scale`` is the one for
-    standard errors, no less than it.
+    measurements told the prior's steepness (`fitted_prior`). Standard errors are those of
+    ``error_prior``, which is no weaker, by an ``error_scale``.
     """
 
     solved: solvers.Solved
     level: float
     scale: float
-    prior: solvers.Prior
+    error_prior: solvers.Prior
     error_scale: float
     is_fitted: bool
 
@@ -94,7 +94,8 @@ class MovingScene:
                 errors.append(np.zeros(self.patterns.n_cells))
             elif self.knobs.error_samples:
                 noise = 0.0 if self.timed.centred and found.is_fitted else float(most_noise[image])
-                prior = replace(found.prior, ratio=max(found.prior.ratio, noise / found.scale))
+                prior = found.error_prior
+                prior = replace(prior, ratio=max(prior.ratio, noise / found.scale))
                 errors.append(np.sqrt(found.error_scale * self._error_variance(prior)))
         image_cells = np.stack(cells, axis=1)
         told = tuple(self._told(worst))
@@ -167,12 +168,16 @@ class MovingScene:
             )
             prior = fitted.prior
         solved = self._solver(prior)(values)
-        error_scale = scale
-        if fits:  # chi-square per measurement of 1
-            left = values - self.operator.forward(solved.unknowns)
-            scale = max(float(values @ left) / (prior.ratio * self.timed.count), 0.0)
-            error_scale = max(scale, fitted.predicting_scale)
-        return _Estimate(solved, level, scale, prior, error_scale, fits)
+        if not fits:
+            return _Estimate(solved, level, scale, prior, scale, is_fitted=False)
+        left = values - self.operator.forward(solved.unknowns)
+        # Chi-square per measurement of 1.
+        scale = max(float(values @ left) / (prior.ratio * self.timed.count), 0.0)
+        stronger = prior.ratio / fitted.strongest.ratio
+        error_scale = stronger * max(scale, fitted.predicting_scale)
+        return _Estimate(
+            solved, level, stronger * scale, fitted.strongest, error_scale, is_fitted=True
+        )
 
     @property
     def _least_ratio(self) -> float:

@@ -9,6 +9,8 @@ measurements of all sequencies suffice for two numbers, and their covariance is 
 They also tell how far to trust the prior: each is predicted from the others, and where pictures are
 less alike than the prior at the places that count, as sharp ones are, or their motion is another,
 errors of prediction are larger than those that the prior foresees. Errors of the image are, too.
+Where the light is faint, many priors are as likely, down to one of no picture at all: errors are
+those of the strongest of them.
 """
 
 from dataclasses import dataclass
@@ -27,11 +29,13 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Fitted:
     """A prior and its ``predicting_scale``: the scale under which errors of prediction of
-    measurements that are left out one by one have the mean square that the prior foresees.
+    measurements that are left out one by one have the mean square that the prior foresees; and the
+    ``strongest`` prior that the measurements do not rule out, which leaves the most unknown.
     """
 
     prior: Prior
     predicting_scale: float
+    strongest: Prior
 
 
 #: Exponents that are tried, ascending in equal steps, and ratios about the first one.
@@ -39,6 +43,9 @@ _EXPONENTS = np.linspace(0.7, 2.2, 6)
 _RATIOS = 2.0 ** np.arange(-12, 13)
 #: Where the noise is unknown, ratios are tried from this many down: per squared rows of the image.
 _LARGEST_RATIO, _RATIO_COUNT = 4.0, 40
+#: Twice the logarithm of the likelihood, by which priors that are not ruled out are below the most
+#: likely one: 97.5 % of chi-square, one side of 95 %, of one degree of freedom.
+_NOT_RULED_OUT = 3.84
 #: Share of `MOST_VALUES` that the rows may take.
 _SHARE = 1 / 4
 
@@ -66,20 +73,23 @@ def fitted_prior(
     ratios = np.unique(np.maximum(ratios, least_ratio))
 
     @cache
-    def tried(exponent: float) -> tuple[float, float]:
-        """Score, the lower the better, and the ratio that has it."""
+    def scores(exponent: float) -> Array:
+        """Of every ratio, the lower the better."""
         covariance = covariance_of(parts, operator.grid.spectrum(exponent))
         eigenvalues, vectors = np.linalg.eigh(covariance)
         variance = np.maximum(eigenvalues, 0.0) + ratios[:, None]
         energy = (vectors.T @ y) ** 2
         if noise_variance:
             total = noise_variance / ratios[:, None] * variance
-            score = (energy / total + np.log(total)).sum(axis=1)
-        else:
-            free = ratios[:, None] / variance
-            score = np.mean(energy * free**2, axis=1) / np.mean(free, axis=1) ** 2
-        best = int(np.argmin(score))
-        return float(score[best]), float(ratios[best])
+            score: Array = (energy / total + np.log(total)).sum(axis=1)
+            return score
+        free = ratios[:, None] / variance
+        return np.asarray(np.mean(energy * free**2, axis=1) / np.mean(free, axis=1) ** 2)
+
+    def tried(exponent: float) -> tuple[float, float]:
+        """The best score, and the ratio that has it."""
+        best = int(np.argmin(scores(exponent)))
+        return float(scores(exponent)[best]), float(ratios[best])
 
     at = int(np.argmin(np.abs(_EXPONENTS - first.exponent)))
     for step in (1, -1):
@@ -91,7 +101,20 @@ def fitted_prior(
     prior = Prior(tried(exponent)[1], exponent)
     covariance = covariance_of(parts, operator.grid.spectrum(exponent))
     np.fill_diagonal(covariance, covariance.diagonal() + prior.ratio)
-    return Fitted(prior, _predicting_scale(covariance, y))
+    strongest, least = [prior], tried(exponent)[0] + _NOT_RULED_OUT
+    beside = _EXPONENTS[max(at - 1, 0) : at + 2].tolist()  # known by now
+    if noise_variance and sum(int(np.sum(scores(other) <= least)) for other in beside) > 1:
+        likely = {other: ratios[scores(other) <= least] for other in _EXPONENTS.tolist()}
+        strongest += [Prior(float(r.min()), other) for other, r in likely.items() if len(r)]
+    unknown = [_unknown(operator.grid.spectrum(one.exponent), one, timed) for one in strongest]
+    return Fitted(prior, _predicting_scale(covariance, y), strongest[int(np.argmax(unknown))])
+
+
+def _unknown(spectrum: Array, prior: Prior, timed: TimedRows) -> float:
+    """Variance of an image that measurements leave to a prior, over theirs, about: as if each told
+    of every cosine coefficient the same.
+    """
+    return float(np.sum(spectrum / (prior.ratio + timed.count * spectrum)))
 
 
 def _predicting_scale(covariance: Array, values: Array) -> float:
