@@ -13,6 +13,7 @@ from scipy import constants, stats
 from hardware import PatternSet, SpiRecord, reconstruct
 from hardware.records import Flag, QuaternionPose
 from twin.detector import FrontEnd, expose, noise_budget
+from twin.detector.gamma import gamma_quantile
 from twin.detector.noise import settled_share
 from twin.detector.poisson import poisson_quantile
 from twin.schemas import file_schema
@@ -67,6 +68,20 @@ def test_poisson_numbers_are_the_quantiles_of_their_draws(mean: float) -> None:
     assert off.max() <= (1 if mean > 1000 else 0)
     assert np.count_nonzero(off) <= 3
     assert (poisson_quantile(normal, 1.001 * np.full(normal.shape, mean)) >= found).all()
+
+
+@pytest.mark.parametrize("shape", [0.0, 1e-3, 0.3, 1.0, 7.7, 999.0, 9999.0, 1e4, 1e5])
+def test_gamma_numbers_are_the_quantiles_of_their_draws(shape: float) -> None:
+    """Against SciPy's, up to 6 standard deviations either way; a larger shape gives no less."""
+    normal = np.linspace(-6, 6, 241)
+    found = gamma_quantile(normal, np.full(normal.shape, shape))
+    if shape == 0:
+        assert (found == 0).all()
+        return
+    below, above = (stats.norm.cdf(sign * normal) for sign in (1, -1))
+    due = np.where(normal < 0, stats.gamma.ppf(below, shape), stats.gamma.isf(above, shape))
+    assert np.abs(found - due).max() < 1e-7 * np.sqrt(shape)
+    assert (gamma_quantile(normal, 1.001 * np.full(normal.shape, shape)) >= found).all()
 
 
 @pytest.mark.parametrize("mean", [0.3, 50.0, 1e6, 1e13])

@@ -9,16 +9,13 @@ from scipy import constants
 
 from hardware.records import Flag
 from twin.detector.flicker import FLICKER, ONE_AFTER_THE_OTHER, ExposureTimes, drawn
+from twin.detector.gamma import gamma
 from twin.detector.noise import NoiseBudget
 from twin.detector.poisson import poisson
 from twin.errors import InputError
 from twin.system import System
 
 Array = NDArray[np.float64]
-
-#: Photoelectrons above which their multiplied charge is drawn from a normal distribution: its
-#: skewness is below 1e-6.
-_NORMAL_FROM = 1e12
 
 
 @dataclass(frozen=True)
@@ -227,13 +224,7 @@ def _collect(
     photoelectrons = _shot(mean_e / gain, rng)
     if excess == 0:
         return gain * photoelectrons
-    many = photoelectrons > _NORMAL_FROM
-    charge_e = rng.gamma(np.minimum(photoelectrons, _NORMAL_FROM) / excess, gain * excess)
-    if many.any():
-        charge_e[many] = gain * (
-            photoelectrons[many] + rng.normal(0, np.sqrt(excess * photoelectrons[many]))
-        )
-    return charge_e
+    return gain * excess * gamma(photoelectrons / excess, rng)
 
 
 def _shot(mean: Array, rng: np.random.Generator, *, gaussian: bool = False) -> Array:
