@@ -34,6 +34,7 @@ _MOST_REFLECTIONS = 1  # at mirrors, on ways that are followed round obstacles
 #: Share of a body up to which others hide it before what they leave of its echo over mirrors tells
 #: how much edges may change.
 _MOST_HIDDEN = 0.5
+_MOST_WAYS = 16  # over mirrors, that are followed: some 0.15 s each
 _PLACES = 16  # on a body that is hidden, about, to which waves over edges are looked for
 
 
@@ -57,6 +58,15 @@ def worth_following(
     return change > _WORTH * levels.permitted * levels.reference
 
 
+class MirroredWays(NamedTuple):
+    """The ``ways`` over mirrors that are followed round obstacles; and what waves over edges may
+    add, relative, on others from which bodies are hidden, (n_bodies,).
+    """
+
+    ways: tuple[MirroredWay, ...]
+    hidden: Array
+
+
 def mirrored_ways(
     prepared: PreparedScene,
     radar: RadarDesign,
@@ -64,14 +74,15 @@ def mirrored_ways(
     levels: BodyLevels,
     lit: Contributions,
     obstacles: Screens | None,
-) -> tuple[MirroredWay, ...]:
-    """Ways to bodies, one of them at least over a mirror, that are followed round obstacles: those
-    on which edges may change echoes too much, ``lit`` ones or those of which others hide the most.
-    In cities none; and none over flat sides of obstacles, whose edges `side_echoes` holds.
+) -> MirroredWays:
+    """Ways to bodies, one of them at least over a mirror, on which edges may change echoes the
+    most and too much, ``lit`` ones or those of which others hide the most. In cities none; and none
+    over flat sides of obstacles, whose edges `side_echoes` holds.
     """
+    hidden = np.zeros(len(levels.names))
     is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
     if obstacles is None or is_city or fidelity.radar_shadowed == 0 or len(prepared.images) == 1:
-        return ()
+        return MirroredWays((), hidden)
     sides = [side.item for side in obstacles.sides]
     mirrors = [prepared.flats.object[list(image.patches)] for image in prepared.images]
     is_few = [len(m) <= _MOST_REFLECTIONS and not np.isin(m, sides).any() for m in mirrors]
@@ -80,34 +91,38 @@ def mirrored_ways(
     single = (lit.bounces == 1) & (images[1] > 0) & np.isin(images, few).all(axis=0)
     some, images = lit.take(np.flatnonzero(single)), images[:, single]
     changed = _changed(prepared, fidelity, levels, some, obstacles)
-    ways = []
-    for pair in np.unique(images, axis=1).T.tolist():
-        by_these = np.flatnonzero((images == np.array(pair)[:, None]).all(axis=0))
-        change = levels.rms_of(changed.take(by_these), radar)
-        bodies = np.flatnonzero(change > levels.permitted * levels.reference)
-        ways += [(body, *pair) for body in bodies.tolist()]
+    changes: dict[MirroredWay, float] = {}
+    for one, other in np.unique(images, axis=1).T.tolist():
+        by_these = np.flatnonzero((images[0] == one) & (images[1] == other))
+        change = levels.rms_of(changed.take(by_these), radar) / levels.reference
+        changes |= {(body, one, other): float(c) for body, c in enumerate(change)}
     followed = followed_by(obstacles, fidelity)
+    unlit: set[MirroredWay] = set()
     for body in range(len(levels.names)):
         members = np.flatnonzero(levels.of_object == body)
         seen = [image for image in few if prepared.worth[image, members].any()]
-        ways += _hidden_ways(body, followed, seen, levels.permitted)
-    return tuple(dict.fromkeys(ways))
+        found = _hidden_ways(body, followed, seen)
+        unlit |= found.keys()
+        changes |= {way: max(c, changes.get(way, 0.0)) for way, c in found.items()}
+    worth = [way for way, change in changes.items() if change > levels.permitted]
+    worth.sort(key=lambda way: -changes[way])
+    for way in unlit.difference(worth[:_MOST_WAYS]):
+        hidden[way[0]] = np.hypot(hidden[way[0]], changes[way])
+    return MirroredWays(tuple(worth[:_MOST_WAYS]), hidden)
 
 
-def _hidden_ways(
-    body: int, obstacles: Screens, images: list[int], permitted: float
-) -> list[MirroredWay]:
-    """Ways to a body that others hide from one image at least, on which waves over edges may add
-    too much to direct ones, were the body as strong by either way.
+def _hidden_ways(body: int, obstacles: Screens, images: list[int]) -> dict[MirroredWay, float]:
+    """Ways to a body that others hide from one image at least, and what waves over edges may add on
+    each to direct ones, were the body as strong by either way.
     """
     seen = {i: _Seen.of(View(obstacles, i), body) for i in images}
     direct = max(seen[0].field, obstacles.faintest) if 0 in seen else 1.0
-    ways = []
+    ways = {}
     for i, j in ((i, j) for i in images for j in images if 0 < j >= i):
         one, other = seen[i], seen[j]
-        change = (1 if i == j else 2) * one.level * other.level * one.field * other.field
-        if not (one.is_lit and other.is_lit) and change > permitted * direct**2:
-            ways.append((body, i, j))
+        if not (one.is_lit and other.is_lit):
+            change = (1 if i == j else 2) * one.level * other.level * one.field * other.field
+            ways[body, i, j] = change / direct**2
     return ways
 
 
@@ -145,7 +160,7 @@ def edges_beside(
     levels: BodyLevels,
     lit: Contributions,
     followed: NDArray[np.bool_],
-    mirrored: tuple[MirroredWay, ...],
+    mirrored: MirroredWays,
     obstacles: Screens | None,
 ) -> Decided:
     """What edges of obstacles may change of echoes that are not followed round these: by single
@@ -157,17 +172,17 @@ def edges_beside(
         return (), nothing
     images, body = _images_of(lit), levels.of_object[lit.object]
     sizes = len(nothing), len(prepared.images), len(prepared.images)
-    ways = np.array(mirrored, dtype=np.int64).reshape(-1, 3).T
+    ways = np.array(mirrored.ways, dtype=np.int64).reshape(-1, 3).T
     own, those = (np.ravel_multi_index(way, sizes) for way in ((body, *images), tuple(ways)))
     is_single = np.isin(own, those)
     is_direct = images[1] == 0
     is_followed = np.where(lit.bounces == 1, is_single | is_direct, followed[body] & is_direct)
-    if is_followed.all():
+    if is_followed.all() and not mirrored.hidden.any():
         return (), nothing
     began_s = perf_counter()
     some = lit.take(np.flatnonzero(~is_followed))
     changed = _changed(prepared, fidelity, levels, some, obstacles)
-    left_out = levels.rms_of(changed, radar) / levels.reference
+    left_out = np.hypot(levels.rms_of(changed, radar) / levels.reference, mirrored.hidden)
     cost_s = perf_counter() - began_s
     return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
 

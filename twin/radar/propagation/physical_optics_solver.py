@@ -115,7 +115,7 @@ def echoes(
         lit = Contributions.concatenate([rest, at_antenna(of_corners.echoes, prepared, radar)])
     hard = body_levels(prepared, radar, fidelity, of_bodies, lit)
     mirrored = mirrored_ways(prepared, radar, fidelity, hard, lit, obstacles)
-    behind = round_obstacles(prepared, radar, fidelity, hard, mirrored, obstacles)
+    behind = round_obstacles(prepared, radar, fidelity, hard, mirrored.ways, obstacles)
     shadowed = at_antenna(behind.echoes, prepared, radar)
     surfaces = Contributions.concatenate([lit, shadowed])
     levels = body_levels(prepared, radar, fidelity, of_bodies, surfaces)
