@@ -173,10 +173,10 @@ class MovingScene:
         left = values - self.operator.forward(solved.unknowns)
         # Chi-square per measurement of 1.
         scale = max(float(values @ left) / (prior.ratio * self.timed.count), 0.0)
-        stronger = prior.ratio / fitted.strongest.ratio
+        stronger = prior.ratio / fitted.cautious.ratio
         error_scale = stronger * max(scale, fitted.predicting_scale)
         return _Estimate(
-            solved, level, stronger * scale, fitted.strongest, error_scale, is_fitted=True
+            solved, level, stronger * scale, fitted.cautious, error_scale, is_fitted=True
         )
 
     @property

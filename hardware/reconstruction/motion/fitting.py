@@ -10,7 +10,7 @@ They also tell how far to trust the prior: each is predicted from the others, an
 less alike than the prior at the places that count, as sharp ones are, or their motion is another,
 errors of prediction are larger than those that the prior foresees. Errors of the image are, too.
 Where the light is faint, many priors are as likely, down to one of no picture at all: errors are
-those of the strongest of them.
+those of the one that leaves the most unknown.
 """
 
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 class Fitted:
     """A prior and its ``predicting_scale``: the scale under which errors of prediction of
     measurements that are left out one by one have the mean square that the prior foresees; and the
-    ``strongest`` prior that the measurements do not rule out, which leaves the most unknown.
+    ``cautious`` one of those that the measurements do not rule out, which leaves the most unknown.
     """
 
     prior: Prior
     predicting_scale: float
-    strongest: Prior
+    cautious: Prior
 
 
 #: Exponents that are tried, ascending in equal steps, and ratios about the first one.
@@ -44,7 +44,7 @@ _RATIOS = 2.0 ** np.arange(-12, 13)
 #: Where the noise is unknown, ratios are tried from this many down: per squared rows of the image.
 _LARGEST_RATIO, _RATIO_COUNT = 4.0, 40
 #: Twice the logarithm of the likelihood, by which priors that are not ruled out are below the most
-#: likely one: 97.5 % of chi-square, one side of 95 %, of one degree of freedom.
+#: likely one at most: 95 % of chi-square of one degree of freedom.
 _NOT_RULED_OUT = 3.84
 #: Share of `MOST_VALUES` that the rows may take.
 _SHARE = 1 / 4
@@ -101,13 +101,13 @@ def fitted_prior(
     prior = Prior(tried(exponent)[1], exponent)
     covariance = covariance_of(parts, operator.grid.spectrum(exponent))
     np.fill_diagonal(covariance, covariance.diagonal() + prior.ratio)
-    strongest, least = [prior], tried(exponent)[0] + _NOT_RULED_OUT
+    priors, least = [prior], tried(exponent)[0] + _NOT_RULED_OUT
     beside = _EXPONENTS[max(at - 1, 0) : at + 2].tolist()  # known by now
     if noise_variance and sum(int(np.sum(scores(other) <= least)) for other in beside) > 1:
         likely = {other: ratios[scores(other) <= least] for other in _EXPONENTS.tolist()}
-        strongest += [Prior(float(r.min()), other) for other, r in likely.items() if len(r)]
-    unknown = [_unknown(operator.grid.spectrum(one.exponent), one, timed) for one in strongest]
-    return Fitted(prior, _predicting_scale(covariance, y), strongest[int(np.argmax(unknown))])
+        priors += [Prior(float(r.min()), other) for other, r in likely.items() if len(r)]
+    unknown = [_unknown(operator.grid.spectrum(one.exponent), one, timed) for one in priors]
+    return Fitted(prior, _predicting_scale(covariance, y), priors[int(np.argmax(unknown))])
 
 
 def _unknown(spectrum: Array, prior: Prior, timed: TimedRows) -> float:

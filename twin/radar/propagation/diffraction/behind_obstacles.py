@@ -17,7 +17,7 @@ times a factor for what it leaves out); what cells are off by; and the estimates
 not computed. Estimates are several times too large, by how much the cells that are computed tell.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -28,6 +28,7 @@ from twin.radar.propagation.diffraction.cell_echoes import cell_echoes
 from twin.radar.propagation.diffraction.cell_estimates import (
     COARSE_M,
     Candidates,
+    Gain,
     coarse,
     finer,
     in_small_parts,
@@ -43,7 +44,6 @@ from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Gain = Callable[[Array], Array]
 
 _SURE = 3.0  # over the root of the sum of squares, before any ray is sent
 #: On waves that are not followed; on echoes of cells that are left out, by what others answer over

@@ -62,7 +62,7 @@ def cell_echoes(
     cell_is_lit = np.all([one.is_lit for one in found], axis=0)
     step = cell_is_lit[facets.cell].astype(np.float64) - is_lit.all(axis=0)
     echoes, over_edges = summed(views.one.obstacles, facets, current, ways)
-    alone = _straight(views, straight)
+    alone = _straight(views, place, straight)
     beyond, straight_on = summed(views.one.obstacles, facets, current * step, alone)
     of_paths = _of_paths(ways, over_edges, straight_on)
     gains = np.sqrt(gain(straight[0].departure) * gain(straight[-1].departure))
@@ -138,22 +138,14 @@ def _ways(found: Sequence[_OneWay], faintest: float) -> Ways:
     return Ways(cell, paths, bends, one[is_kept], other[is_kept], two_way[is_kept])
 
 
-def _straight(views: TwoViews, straight: Sequence[PointPaths]) -> Ways:
+def _straight(views: TwoViews, place: Array, straight: Sequence[PointPaths]) -> Ways:
     """There and back without obstacles."""
-    count, k = len(straight[0].length), views.one.obstacles.wavenumber
-    places = straight[0].back * straight[0].length[:, None]
-    places = views.one.place - places
-    bends = Bends.concatenate([Bends.none(view.place, places, k) for view in views.each])
-    every = np.arange(count)
-    cell, share = np.tile(every, len(straight)), np.ones(count, dtype=complex)
-    return Ways(
-        cell,
-        PointPaths.concatenate(straight),
-        bends,
-        every,
-        cell[-count:] + count * (len(straight) - 1),
-        share,
-    )
+    k, every = views.one.obstacles.wavenumber, np.arange(len(place))
+    bends = Bends.concatenate([Bends.none(view.place, place, k) for view in views.each])
+    back = every + len(place) * (len(straight) - 1)
+    share = np.ones(len(place), dtype=complex)
+    cell = np.tile(every, len(straight))
+    return Ways(cell, PointPaths.concatenate(straight), bends, every, back, share)
 
 
 def _radiated_both(
