@@ -23,6 +23,7 @@ Flags = NDArray[np.bool_]
 _TRIANGLE_M = 1.4e-3  # at 79 GHz less than half a wavelength
 _FINER = 14  # of triangles that a border divides, for the hard shadow
 _PIECE = 1.25  # of the rim, with 4 points each, over what is near
+_FAR_FROM_BORDER_M = 3e-3  # the same where no place is near a border, of edges of 2 m
 _AT_ONCE = 200  # places
 #: Nearer to a border the rim's integrand is too sharp: the field, which is smooth across it, is
 #: interpolated between places so many times as far away, none near the border across.
@@ -96,6 +97,22 @@ def field_behind(screen: Array, places: Array, wavenumber: float) -> Complex:
     return field
 
 
+def field_past(edge: Array, screen: Array, places: Array, wavenumber: float) -> Complex:
+    """Over the straight wave, at places (n, 3) behind half a plane and far from the border of its
+    shadow: that of a ``screen``, (4, 3), beyond one ``edge`` (2, 3) of it, as if both went on.
+    """
+    at, along = _rim_of(edge, _FAR_FROM_BORDER_M)
+    middle, half = edge.mean(axis=0), (edge[1] - edge[0]) / 2
+    beyond = np.abs((at - middle) @ half) / (half @ half)
+    # What the ends would send is taken off them smoothly.
+    along = along * np.cos(np.pi / 2 * np.clip(2 * beyond - 1, 0, 1))[:, None] ** 2
+    inward = screen.mean(axis=0) - middle
+    across = np.cross(half, inward)
+    met = places * ((middle @ across) / (places @ across))[:, None]
+    is_hidden = (met - middle) @ inward > 0
+    return np.asarray(1 - is_hidden - _by_waves(at, along, places, wavenumber))
+
+
 def interpolated(
     field: Callable[[Array], Complex], center: Array, half_m: float, shape: tuple[int, int, int]
 ) -> Callable[[Array], Complex]:
@@ -133,10 +150,17 @@ def _by_rim(screen: Array, places: Array, wavenumber: float, piece_m: float) -> 
     """1 less the field behind a hole of the screen's shape: that of geometrical optics and of the
     rim.
     """
-    at, along = _rim(screen, piece_m)
+    sides = zip(screen, np.roll(screen, -1, axis=0), strict=True)
+    parts = [_rim_of(np.array(side), piece_m) for side in sides]
+    at, along = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return np.asarray(1 - hides(screen, places) - _by_waves(at, along, places, wavenumber))
+
+
+def _by_waves(at: Array, along: Array, places: Array, wavenumber: float) -> Complex:
+    """Of a rim at points (n, 3) that stand for vectors along it, over the straight wave."""
     there = np.linalg.norm(at, axis=1)
     unit = at / there[:, None]
-    rim = np.empty(len(places), dtype=complex)
+    rim: Complex = np.empty(len(places), dtype=complex)
     for first in range(0, len(places), _AT_ONCE):
         some = places[first : first + _AT_ONCE]
         back = at - some[:, None]
@@ -147,19 +171,16 @@ def _by_rim(screen: Array, places: Array, wavenumber: float, piece_m: float) -> 
         longer = there + distance - straight[:, None]
         wave = np.exp(-1j * wavenumber * longer) / (there * distance) * turn
         rim[first : first + _AT_ONCE] = wave.sum(axis=1) * straight / (4 * np.pi)
-    return np.asarray(1 - hides(screen, places) - rim)
+    return rim
 
 
-def _rim(screen: Array, piece_m: float) -> tuple[Array, Array]:
-    """Points (n, 3) along it, and what each stands for, as vectors along the rim."""
+def _rim_of(edge: Array, piece_m: float) -> tuple[Array, Array]:
+    """Points (n, 3) along an edge (2, 3), and what each stands for, as vectors along it."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    places, along = [], []
-    for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
-        n = max(int(np.ceil(np.linalg.norm(end - begin) / piece_m)), 2)
-        at = ((np.arange(n)[:, None] + (nodes + 1) / 2) / n).ravel()
-        places.append(begin + at[:, None] * (end - begin))
-        along.append(np.tile(weights / 2 / n, n)[:, None] * (end - begin))
-    return np.concatenate(places), np.concatenate(along)
+    side = edge[1] - edge[0]
+    n = max(int(np.ceil(np.linalg.norm(side) / piece_m)), 2)
+    at = ((np.arange(n)[:, None] + (nodes + 1) / 2) / n).ravel()
+    return edge[0] + at[:, None] * side, np.tile(weights / 2 / n, n)[:, None] * side
 
 
 def _front(body: SceneObject) -> Array:

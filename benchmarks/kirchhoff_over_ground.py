@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from benchmarks.kirchhoff import divided, field_behind, hides, mean_over
+from benchmarks.kirchhoff import divided, field_behind, field_past, hides, interpolated, mean_over
 from benchmarks.radar_estimates import thing
 from twin.scene import SceneObject
 
@@ -27,6 +27,11 @@ PAIRS = (0, 0), (0, 1), (1, 1)
 _TRIANGLE_M = 1.4e-3  # at 79 GHz less than half a wavelength
 _BESIDE_M = 4.0  # that the ground goes on beyond a body
 _NEXT_TO_M = 0.01  # of the ground, above which a screen that does not stand on it ends
+_WAVELENGTH_M = 3.8e-3  # that screens which hide bodies are made for
+_OPEN = 1.0  # least height of an opening below a screen, over the radius of that zone
+_WIDE_M = 20.0  # of a screen, to either side, that hides a body on all ways
+_COUNTS_M = 1.0  # of its edge, to either side
+_GRID = 5, 5, 129  # of places that the field is computed at there
 
 
 class Echoes(NamedTuple):
@@ -39,11 +44,14 @@ class Echoes(NamedTuple):
 
 @dataclass(frozen=True)
 class OverGround:
-    """A body behind an upright screen, (4, 3), over a ground this far below the radar."""
+    """A body behind an upright screen, (4, 3), over a ground this far below the radar; of a wide
+    screen's rim the edge across the ways alone counts.
+    """
 
     body: SceneObject
     screen: Array
     below_m: float
+    is_wide: bool = False
 
     @staticmethod
     def random(seed: int) -> "OverGround":
@@ -73,10 +81,30 @@ class OverGround:
         else:
             edge = y + rng.uniform(-0.05, 0.05)
             sides, ends = (edge, edge + wide), (-below_m, rng.uniform(0.1, 0.5))
-        corners = [(i, j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-        screen = np.array([[far_m * share, sides[i], ends[j]] for i, j in corners])
         body = thing("body", mesh.vertices + center, mesh.faces)
-        return OverGround(body, screen, below_m)
+        return OverGround(body, _upright(far_m * share, sides, ends), below_m)
+
+    @staticmethod
+    def hidden(seed: int) -> "OverGround":
+        """A ball behind a wide screen that stands on the ground or hangs above it: up to four radii
+        of the first Fresnel zone beyond its edge on both ways, or half of that with the ground.
+        """
+        rng = np.random.default_rng([seed, 78])
+        while True:
+            below_m, far_m, share = (rng.uniform(*x) for x in ((0.4, 0.9), (6.0, 12.0), (0.3, 0.8)))
+            height = rng.uniform(0.3, 0.9)
+            ways = below_m + share * (height - below_m), abs(share * (height + below_m) - below_m)
+            zone_m = np.sqrt(_WAVELENGTH_M * far_m * share * (1 - share))
+            beyond_m = rng.uniform(0.1, 4.0) * zone_m
+            stands = rng.random() < 0.5
+            edge_m = max(ways) + beyond_m if stands else min(ways) - beyond_m
+            if edge_m > _OPEN * zone_m:
+                break
+        ends = (-below_m, edge_m - below_m) if stands else (edge_m - below_m, _WIDE_M)
+        mesh = trimesh.creation.icosphere(4, radius=rng.uniform(0.05, 0.12))
+        body = thing("body", mesh.vertices + [far_m, 0, height - below_m], mesh.faces)
+        screen = _upright(far_m * share, (-_WIDE_M, _WIDE_M), ends)
+        return OverGround(body, screen, below_m, is_wide=True)
 
     @property
     def objects(self) -> list[SceneObject]:
@@ -125,24 +153,57 @@ class OverGround:
     def _place(self, number: int) -> Array:
         return np.array([0.0, 0.0, -2 * self.below_m * number])
 
+    @property
+    def _stands(self) -> bool:
+        return bool(np.isclose(self.screen[0, 2], -self.below_m))
+
+    @property
+    def _shown(self) -> Array:
+        """The screen's image in the ground, from its top."""
+        return self.screen * [1, 1, -1] + self._place(1)
+
     def _screens(self, number: int) -> list[Array]:
         """As the radar or its image sees them, relative to it."""
         if number == 0:
             return [self.screen]
-        shown = self.screen * [1, 1, -1] + self._place(1)
-        if np.isclose(self.screen[0, 2], -self.below_m):
-            return [np.concatenate([shown[[3, 2]], self.screen[2:]]) - self._place(1)]
-        return [self.screen - self._place(1), shown[::-1] - self._place(1)]
+        if self._stands:
+            return [np.concatenate([self._shown[[3, 2]], self.screen[2:]]) - self._place(1)]
+        return [self.screen - self._place(1), self._shown[::-1] - self._place(1)]
 
     def _field(self, number: int, places: Array, wavenumber: float) -> Complex:
         """Over the straight wave at places (n, 3), by Babinet's principle."""
         at = places - self._place(number)
+        if self.is_wide:
+            return self._past_edges(number, at, wavenumber)
         behind = [field_behind(s, at, wavenumber) for s in self._screens(number)]
         return 1 - sum((1 - one for one in behind), start=0j)
+
+    def _past_edges(self, number: int, at: Array, wavenumber: float) -> Complex:
+        """Of a wide screen: past its edge and past that which the ground shows, from the radar too,
+        whose wave then meets the ground before and behind it.
+        """
+        both = self.screen - self._place(number), self._shown[::-1] - self._place(number)
+        edges = (2, 0) if self._stands else (0, 2)
+        short = np.array([1.0, _COUNTS_M / _WIDE_M, 1.0])
+
+        def field(places: Array) -> Complex:
+            parts = [
+                field_past(screen[first : first + 2] * short, screen, places, wavenumber)
+                for screen, first in zip(both, edges, strict=True)
+            ]
+            return parts[0] + parts[1] - (not self._stands)
+
+        low, high = at.min(axis=0), at.max(axis=0)
+        return interpolated(field, (low + high) / 2, 0.6 * float((high - low).max()), _GRID)(at)
 
     def _is_lit(self, number: int, places: Array) -> NDArray[np.bool_]:
         at = places - self._place(number)
         return ~np.any([hides(s, at) for s in self._screens(number)], axis=0)
+
+
+def _upright(x: float, y: tuple[float, float], z: tuple[float, float]) -> Array:
+    corners = [(i, j) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    return np.array([[x, y[i], z[j]] for i, j in corners])
 
 
 def _facing(body: SceneObject, places: list[Array]) -> tuple[Array, NDArray[np.bool_]]:

@@ -3,7 +3,8 @@
 In random scenes, boxes and balls behind a rectangular screen or a fence of many posts, the truth is
 Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
 one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
-ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`). On
+ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`), also
+behind screens that hide a body on all ways. On
 the yard and the street it are cells of half the size, of which none is left out, and shadows
 followed to 45 dB: the solver itself, finer, which says less. Bodies that stand alone are left out.
 """
@@ -48,6 +49,7 @@ _KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screen
 _OF_A_KIND = 20
 _FENCES = 24
 _OVER_GROUND = 40
+_HIDDEN = 40
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
 _NOTHING = 1e-9  # of a body's level
 _PERMITTED = 0.01  # of a body's level: a tenth of the tolerance
@@ -90,11 +92,24 @@ def figures() -> Iterator[Figure]:
         against_images(name, case, radar) for name, case in over.items()
     )
     yield from _told("by images", by_images)
+    hidden = {f"hidden {seed}": OverGround.hidden(seed) for seed in range(_HIDDEN)}
+    by_images = chain.from_iterable(
+        against_images(name, case, sensitive_radar()) for name, case in hidden.items()
+    )
+    yield from _told("by images, hidden on all ways", by_images)
     named = {name: load_scene(name) for name in ("street", "yard")}
     finer = chain.from_iterable(
         against_finer_cells(name, scene, radar) for name, scene in named.items()
     )
     yield from _told("by finer cells", finer)
+
+
+def sensitive_radar() -> RadarDesign:
+    """One that hears what comes round edges alone, and sends in all directions alike: those of the
+    ways over edges, and of the straight ones, which the truth takes instead.
+    """
+    more = {"antenna.gain_dbi": 3.0103, "front_end.transmit_power_w": 40.0}
+    return load_radar("hybrid-79").with_(more)
 
 
 def _told(truth: str, compared: Iterator[Compared]) -> Iterator[Figure]:

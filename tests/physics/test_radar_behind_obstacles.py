@@ -158,6 +158,30 @@ def test_waves_too_faint_to_follow_are_told(share: float) -> None:
     assert told * level < 6 * abs(got - due)
 
 
+def test_a_body_deep_in_the_shadow_answers_by_its_faint_waves() -> None:
+    """A ball behind an edge whose waves, 31 dB down on either way, are all too faint to be followed
+    everywhere: nothing of it had been followed, and next to nothing stated.
+    """
+    above, radius = 0.52, 0.1
+    body = ball("ball", (10.0, 0.0, 0.0), radius, 5)
+    y, z = np.meshgrid(*2 * [((np.arange(1200) + 0.5) / 600 - 1) * radius])
+    deep = np.sqrt(np.maximum(radius**2 - y**2 - z**2, 0))
+    x = 10 - deep
+    over = np.hypot(np.hypot(6, above) + np.hypot(x - 6, above - z), y)
+    straight = np.sqrt(x**2 + y**2 + z**2)
+    own = (deep > 0) * np.exp(-2j * K * (straight - 10)) / straight**2
+    due = np.sum(own * (erfc(np.sqrt(1j * K * (over - straight))) / 2) ** 2) / np.sum(own)
+    radar = RADAR.with_({"front_end.transmit_power_w": 100.0})
+    found, alone = (
+        trace(each, radar, fidelity=DEFAULT) for each in (world(screen(above), body), world(body))
+    )
+    (told,) = found.bodies
+    free = wave(alone.surfaces)
+    off = abs(wave(found.surfaces) / free / pattern(above) - due)
+    assert off * abs(free) < told.estimated_error * told.level_amplitude
+    assert off < 0.1 * abs(due)
+
+
 @pytest.mark.parametrize("edge_m", [-0.1, -0.03, 0.0, 0.03])
 def test_a_plate_that_looks_aside_is_off_by_less_than_is_told(edge_m: float) -> None:
     """30 cm wide, turned by 20 degrees, so that its cells cancel each other: by its own knife

@@ -96,12 +96,11 @@ def mirrored_ways(
         by_these = np.flatnonzero((images[0] == one) & (images[1] == other))
         change = levels.rms_of(changed.take(by_these), radar) / levels.reference
         changes |= {(body, one, other): float(c) for body, c in enumerate(change)}
-    followed = followed_by(obstacles, fidelity)
     unlit: set[MirroredWay] = set()
     for body in range(len(levels.names)):
         members = np.flatnonzero(levels.of_object == body)
         seen = [image for image in few if prepared.worth[image, members].any()]
-        found = _hidden_ways(body, followed, seen)
+        found = _hidden_ways(body, obstacles, fidelity, seen)
         unlit |= found.keys()
         changes |= {way: max(c, changes.get(way, 0.0)) for way, c in found.items()}
     worth = [way for way, change in changes.items() if change > levels.permitted]
@@ -111,11 +110,17 @@ def mirrored_ways(
     return MirroredWays(tuple(worth[:_MOST_WAYS]), hidden)
 
 
-def _hidden_ways(body: int, obstacles: Screens, images: list[int]) -> dict[MirroredWay, float]:
+def _hidden_ways(
+    body: int, obstacles: Screens, fidelity: Fidelity, images: list[int]
+) -> dict[MirroredWay, float]:
     """Ways to a body that others hide from one image at least, and what waves over edges may add on
-    each to direct ones, were the body as strong by either way.
+    each to direct ones, were the body as strong by either way. Fainter waves than those that are
+    followed everywhere count where no image lights it.
     """
-    seen = {i: _Seen.of(View(obstacles, i), body) for i in images}
+    followed = followed_by(obstacles, fidelity)
+    seen = {i: _Seen.of(View(followed, i), body) for i in images}
+    if not any(one.is_lit for one in seen.values()):
+        seen = {i: _Seen.of(View(obstacles, i), body) for i in images}
     direct = max(seen[0].field, obstacles.faintest) if 0 in seen else 1.0
     ways = {}
     for i, j in ((i, j) for i in images for j in images if 0 < j >= i):

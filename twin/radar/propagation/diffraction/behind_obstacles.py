@@ -193,12 +193,11 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
     if not len(facets):
         return _OfBody(0.0, [], 0.0, 0.0)
     whole = Candidates.of(everywhere, facets, body, gain, is_lit)
-    faint = _faint(whole, is_lit, gain)
+    deepest = Candidates.of(views, facets, body, gain, is_lit)
+    faint = _faint(everywhere, deepest, is_lit, gain)
     is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most)
     is_deep &= faintest < everywhere.one.obstacles.faintest
-    deep = whole.take(is_deep)
-    if is_deep.any():
-        deep = Candidates.of(views, deep.facets, body, gain, is_lit[:, is_deep])
+    deep = deepest.take(is_deep)
     rest = whole.take(~is_deep)
     bound = _SURE * float(np.linalg.norm(np.concatenate([rest.change, deep.change])))
     followed = np.full(len(is_deep), everywhere.one.obstacles.faintest)
@@ -216,11 +215,11 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
     return _OfBody(bound, candidates, left_out, faint.of_body(followed))
 
 
-def _faint(one: Candidates, is_lit: NDArray[np.bool_], gain: Gain) -> FaintWaves:
-    """Of waves over edges that are too faint to be followed on one way, while the other is
-    straight, or led over edges.
+def _faint(views: TwoViews, one: Candidates, is_lit: NDArray[np.bool_], gain: Gain) -> FaintWaves:
+    """Of waves over edges that are too faint for ``views`` on one way, while the other is straight,
+    or led over edges, of ``one`` by fainter waves too.
     """
-    level, views = strength(one.views, one.facets, gain), one.views
+    level = strength(views, one.facets, gain)
     other_way = one.other_ways(is_lit) * (2 if views.are_same else 1)
     return FaintWaves.concatenate(
         [
