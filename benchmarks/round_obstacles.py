@@ -38,6 +38,7 @@ from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis import Contributions
+from twin.radar.synthesis.joined import Resolution
 from twin.scene import Scene, SceneObject, load_scene
 
 Array = NDArray[np.float64]
@@ -166,7 +167,8 @@ class _Solved:
         obstacles = screens(self.prepared, depth_db, self.body)
         assert obstacles is not None
         limit = permitted * self.level / loss_of(self.radar)
-        accepted = Accepted(limit, most, fineness, everywhere)
+        resolution = Resolution.of(self.radar)
+        accepted = Accepted(limit, most, fineness, everywhere, resolution)
         bodies = np.arange(len(self.names))
         surface = self.prepared.surface_of_object
         found = echoes_behind(obstacles, surface, bodies, [], self.gain, accepted)

@@ -41,6 +41,7 @@ from twin.radar.propagation.physical_optics import (
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.culling import noise_amplitude
 from twin.radar.synthesis import Contributions
+from twin.radar.synthesis.joined import Resolution
 
 Array = NDArray[np.float64]
 
@@ -111,6 +112,7 @@ def round_obstacles(
         most=MOST_SHADOWED if most is None else most,
         fineness=float(np.sqrt(fidelity.radar_tolerance / 0.1)),
         faintest=followed_everywhere(fidelity),
+        resolution=Resolution.of(radar),
     )
     found = behind(prepared, radar, obstacles, mirrored, accepted)
     return RoundObstacles(

@@ -41,6 +41,7 @@ from twin.radar.propagation.diffraction.unfollowed_waves import FaintWaves, fain
 from twin.radar.propagation.diffraction.views import TwoViews, two_views
 from twin.radar.propagation.rows import lengths
 from twin.radar.synthesis import Contributions
+from twin.radar.synthesis.joined import Resolution, joined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -77,13 +78,14 @@ class Accepted:
     """What is left out: amplitudes ``limit`` (n_bodies,) of bodies' echoes that do not count;
     ``most`` cells are computed of direct ways, and `_OVER_MIRRORS` as many of others; ``fineness``:
     size of these over that at a tolerance of 0.1; ``faintest``: of diffracted waves, over the
-    straight one, that are followed to every cell.
+    straight one, that are followed to every cell; ``resolution``: within which echoes become one.
     """
 
     limit: Array
     most: int
     fineness: float
     faintest: float
+    resolution: Resolution
 
 
 def echoes_behind(
@@ -274,7 +276,7 @@ def _contributions(
         if is_taken.any():
             facets = in_small_parts(one.take(is_taken), accepted.fineness)
             echoes, answered = cell_echoes(one.views, facets, one.body, surface_of_object, gain)
-            parts.append(echoes)
+            parts.append(joined(echoes, accepted.resolution, gain))
             changed = np.linalg.norm(one.change[is_taken])
             estimate[one.body] = np.hypot(estimate[one.body], changed)
             level[one.body] = np.hypot(level[one.body], answered)
