@@ -10,7 +10,7 @@ from twin.radar import RadarDesign, load_radar
 from twin.radar.synthesis import Contributions, direct_sum
 from twin.radar.synthesis.joined import Resolution, joined
 
-COUNT = 20_000
+COUNT = 70_000
 
 
 def echoes(radar: RadarDesign, seed: int) -> Contributions:
@@ -28,7 +28,7 @@ def echoes(radar: RadarDesign, seed: int) -> Contributions:
 @pytest.mark.parametrize("name", ["hybrid-79", "hybrid-79-mimo", "prototype"])
 def test_the_channel_is_the_same(name: str) -> None:
     """All over the band and the burst, of the whole and of each object, at the elements farthest
-    from the middle: to 5 % of its root mean square.
+    from the middle: to 8 % of its root mean square, by all of them together.
     """
     radar = load_radar(name)
     burst, carrier_hz = radar.burst, radar.ofdm.carrier_hz
@@ -54,7 +54,7 @@ def test_the_channel_is_the_same(name: str) -> None:
             channels.append(direct_sum(own, frequencies_hz, times_s, carrier_hz))
         due, got = channels
         off = np.sqrt(np.mean(np.abs(got - due) ** 2) / np.mean(np.abs(due) ** 2))
-        assert off < 0.05
+        assert off < 0.08
 
 
 def test_few_echoes_stay_as_they_are() -> None:

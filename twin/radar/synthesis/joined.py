@@ -20,7 +20,7 @@ from twin.radar.synthesis.contributions import Contributions
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_MANY = 2**13  # echoes, from which on they are joined
+_MANY = 2**16  # echoes of a body, from which on they are joined
 _OF_BAND_RAD, _APART_RAD = 0.3, 0.15  # of phase, at the ends
 _MOST_APART = 0.01  # directions
 _LEAST_WEIGHT = 1e-9
