@@ -196,7 +196,7 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
         return _OfBody(0.0, [], 0.0, 0.0)
     whole = Candidates.of(everywhere, facets, body, gain, is_lit)
     deepest = Candidates.of(views, facets, body, gain, is_lit)
-    faint = _faint(everywhere, deepest, is_lit, gain)
+    faint = _faint(whole, deepest, is_lit, gain)
     is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most)
     is_deep &= faintest < everywhere.one.obstacles.faintest
     deep = deepest.take(is_deep)
@@ -217,16 +217,24 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
     return _OfBody(bound, candidates, left_out, faint.of_body(followed))
 
 
-def _faint(views: TwoViews, one: Candidates, is_lit: NDArray[np.bool_], gain: Gain) -> FaintWaves:
-    """Of waves over edges that are too faint for ``views`` on one way, while the other is straight,
-    or led over edges, of ``one`` by fainter waves too.
+def _faint(
+    followed: Candidates, deepest: Candidates, is_lit: NDArray[np.bool_], gain: Gain
+) -> FaintWaves:
+    """Of waves over edges that are fainter than ``followed`` ones on one way, while the other is
+    straight, or led over edges: by waves that are followed, or by faint ones, of which either is
+    counted once.
     """
-    level = strength(views, one.facets, gain)
-    other_way = one.other_ways(is_lit) * (2 if views.are_same else 1)
+    views, facets = followed.views, followed.facets
+    level, ways = strength(views, facets, gain), []
+    for lit, of_view, deep in zip(is_lit, followed.cells, deepest.cells, strict=True):
+        strong, every = np.minimum(of_view.level, 1), np.minimum(deep.level, 1)
+        ways.append(np.where(lit, 1, (strong + np.maximum(every, strong)) / 2))
+    times = 2 if views.are_same else 1
+    each = zip(views.each, views.each[::-1], ways[::-1], strict=True)
     return FaintWaves.concatenate(
         [
-            faint_waves(view, other, one.facets, one.body, level, way)
-            for view, other, way in zip(views.each, views.each[::-1], other_way, strict=True)
+            faint_waves(view, other, facets, followed.body, level, times * way)
+            for view, other, way in each
         ]
     )
 
