@@ -87,7 +87,8 @@ class OverGround:
     @staticmethod
     def hidden(seed: int) -> "OverGround":
         """A ball behind a wide screen that stands on the ground or hangs above it: up to four radii
-        of the first Fresnel zone beyond its edge on both ways, or half of that with the ground.
+        of the first Fresnel zone beyond its edge on both ways, and where it hangs open by one at
+        least.
         """
         rng = np.random.default_rng([seed, 78])
         while True:
@@ -159,7 +160,7 @@ class OverGround:
 
     @property
     def _shown(self) -> Array:
-        """The screen's image in the ground, from its top."""
+        """The screen's image in the ground, corner by corner."""
         return self.screen * [1, 1, -1] + self._place(1)
 
     def _screens(self, number: int) -> list[Array]:

@@ -4,9 +4,9 @@ In random scenes, boxes and balls behind a rectangular screen or a fence of many
 Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
 one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
 ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`), also
-behind screens that hide a body on all ways. On
-the yard and the street it are cells of half the size, of which none is left out, and shadows
-followed to 45 dB: the solver itself, finer, which says less. Bodies that stand alone are left out.
+behind screens that hide a body on all ways. On the yard and the street it are cells of half the
+size, of which none is left out, and shadows followed to 45 dB: the solver itself, finer, which says
+less. Bodies that stand alone are left out.
 """
 
 from collections.abc import Callable, Iterator
@@ -106,8 +106,8 @@ def figures() -> Iterator[Figure]:
 
 
 def sensitive_radar() -> RadarDesign:
-    """One that hears what comes round edges alone, and sends in all directions alike: those of the
-    ways over edges, and of the straight ones, which the truth takes instead.
+    """One that hears the faint echoes of hidden bodies, and whose gain is the same towards an edge
+    and along the straight way, which the truth takes it at.
     """
     more = {"antenna.gain_dbi": 3.0103, "front_end.transmit_power_w": 40.0}
     return load_radar("hybrid-79").with_(more)

@@ -4,7 +4,7 @@ reflections are followed round the edges, and what these may change of the other
 
 from dataclasses import replace
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,13 +49,19 @@ def worth_following(
     """Bodies whose direct echoes by several reflections edges of obstacles may change by more than
     a few times what is permitted, (n_bodies,).
     """
-    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
-    if obstacles is None or is_city or fidelity.radar_shadowed == 0 or fidelity.radar_bounces == 1:
+    if not _are_followed(obstacles, fidelity) or fidelity.radar_bounces == 1:
         return np.zeros(len(levels.names), dtype=bool)
     is_direct = (lit.source == 0) & (lit.receiver == 0) & (lit.bounces > 1)
     some = lit.take(np.flatnonzero(is_direct))
     change = levels.rms_of(_changed(prepared, fidelity, levels, some, obstacles), radar)
     return change > _WORTH * levels.permitted * levels.reference
+
+
+def _are_followed(obstacles: Screens | None, fidelity: Fidelity) -> TypeGuard[Screens]:
+    """Whether edges are looked for beside ways at all: in cities they are not."""
+    if obstacles is None or fidelity.radar_shadowed == 0:
+        return False
+    return len(obstacles.items) <= MANY_OBSTACLES
 
 
 class MirroredWays(NamedTuple):
@@ -80,22 +86,13 @@ def mirrored_ways(
     over flat sides of obstacles, whose edges `side_echoes` holds.
     """
     hidden = np.zeros(len(levels.names))
-    is_city = obstacles is not None and len(obstacles.items) > MANY_OBSTACLES
-    if obstacles is None or is_city or fidelity.radar_shadowed == 0 or len(prepared.images) == 1:
+    if not _are_followed(obstacles, fidelity) or len(prepared.images) == 1:
         return MirroredWays((), hidden)
     sides = [side.item for side in obstacles.sides]
     mirrors = [prepared.flats.object[list(image.patches)] for image in prepared.images]
     is_few = [len(m) <= _MOST_REFLECTIONS and not np.isin(m, sides).any() for m in mirrors]
     few = np.flatnonzero(is_few).tolist()
-    images = _images_of(lit)
-    single = (lit.bounces == 1) & (images[1] > 0) & np.isin(images, few).all(axis=0)
-    some, images = lit.take(np.flatnonzero(single)), images[:, single]
-    changed = _changed(prepared, fidelity, levels, some, obstacles)
-    changes: dict[MirroredWay, float] = {}
-    for one, other in np.unique(images, axis=1).T.tolist():
-        by_these = np.flatnonzero((images[0] == one) & (images[1] == other))
-        change = levels.rms_of(changed.take(by_these), radar) / levels.reference
-        changes |= {(body, one, other): float(c) for body, c in enumerate(change)}
+    changes = _changes_of_lit(prepared, radar, fidelity, levels, lit, obstacles, few)
     unlit: set[MirroredWay] = set()
     for body in range(len(levels.names)):
         members = np.flatnonzero(levels.of_object == body)
@@ -108,6 +105,30 @@ def mirrored_ways(
     for way in unlit.difference(worth[:_MOST_WAYS]):
         hidden[way[0]] = np.hypot(hidden[way[0]], changes[way])
     return MirroredWays(tuple(worth[:_MOST_WAYS]), hidden)
+
+
+def _changes_of_lit(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    obstacles: Screens,
+    few: list[int],
+) -> dict[MirroredWay, float]:
+    """What waves over edges may change of single reflections at bodies by each pair of a ``few``
+    images, one of them at least in a mirror, relative.
+    """
+    images = _images_of(lit)
+    single = (lit.bounces == 1) & (images[1] > 0) & np.isin(images, few).all(axis=0)
+    some, images = lit.take(np.flatnonzero(single)), images[:, single]
+    changed = _changed(prepared, fidelity, levels, some, obstacles)
+    changes: dict[MirroredWay, float] = {}
+    for one, other in np.unique(images, axis=1).T.tolist():
+        by_these = np.flatnonzero((images[0] == one) & (images[1] == other))
+        change = levels.rms_of(changed.take(by_these), radar) / levels.reference
+        changes |= {(body, one, other): float(c) for body, c in enumerate(change)}
+    return changes
 
 
 def _hidden_ways(

@@ -20,10 +20,10 @@ from twin.radar.synthesis.contributions import Contributions
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_MANY = 2**16  # echoes of a body, from which on they are joined
 _OF_BAND_RAD, _APART_RAD = 0.3, 0.15  # of phase, at the ends
 _MOST_APART = 0.01  # directions
 _LEAST_WEIGHT = 1e-9
+_AT_ONCE = 2**19  # echoes, for memory: some 0.3 GB
 _COMMON = ("object", "first", "source", "receiver", "bounces", "falloff", "wavelength_power")
 _CONTINUOUS = (
     "departure",
@@ -71,13 +71,24 @@ class Resolution:
 
 
 def joined(
+    echoes: Contributions, resolution: Resolution, gain: Callable[[Array], Array], many: int
+) -> Contributions:
+    """Echoes, if they are more than ``many``, as fewer, unless there were no fewer; ``gain`` of
+    directions (n, 3), in amplitude there and back, which amplitudes are without.
+    """
+    if len(echoes) <= many or echoes.amplitude.ndim > 1:
+        return echoes
+    if len(echoes) > _AT_ONCE:  # some at a time, then what these have become: the same delays
+        starts = range(0, len(echoes), _AT_ONCE)
+        blocks = [echoes.take(slice(start, start + _AT_ONCE)) for start in starts]
+        echoes = Contributions.concatenate([_joined(one, resolution, gain) for one in blocks])
+    return _joined(echoes, resolution, gain)
+
+
+def _joined(
     echoes: Contributions, resolution: Resolution, gain: Callable[[Array], Array]
 ) -> Contributions:
-    """Many echoes as fewer, or as they are if there were no fewer; ``gain`` of directions (n, 3),
-    in amplitude there and back, which amplitudes are without.
-    """
-    if len(echoes) < _MANY or echoes.amplitude.ndim > 1:
-        return echoes
+    """Echoes as fewer, unless there were no fewer."""
     k = 2 * np.pi * resolution.carrier_hz
     steps = echoes.delay_s / resolution.delay_s
     lower = np.floor(steps).astype(np.int64)

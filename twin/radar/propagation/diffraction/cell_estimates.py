@@ -62,16 +62,15 @@ class Candidates:
         facets = self.facets.of_cells(which)
         return Candidates(self.body, self.views, facets, self.change[which], cells)
 
-    def other_ways(self, is_lit: Flags) -> Array:
+    def other_ways(self, is_lit: Flags, apart: "Candidates | None" = None) -> Array:
         """Of what waves over edges add on the ways of each view, (n_views, n_cells): the level of
         the other way over the straight one. In the shadow of a single view either wave is counted
-        once.
+        once; but for those that are followed ``apart``, beside which the others alone are.
         """
-        ways = [
-            np.where(lit, 1, np.minimum(c.level, 1) / 2)
-            for c, lit in zip(self.cells, is_lit, strict=True)
-        ]
-        return np.array(ways[::-1])
+        levels = np.array([np.minimum(cells.level, 1) for cells in self.cells])
+        if apart is not None:
+            levels += [np.minimum(cells.level, 1) for cells in apart.cells]
+        return np.where(is_lit, 1, levels / 2)[::-1]
 
 
 def coarse(views: TwoViews, body: int) -> tuple[Facets, Flags]:
