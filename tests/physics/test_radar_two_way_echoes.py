@@ -5,7 +5,7 @@ import pytest
 
 from twin.radar.propagation.diffraction import two_way_echoes
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
-from twin.radar.propagation.rows import dots, phasors
+from twin.radar.rows import dots, phasors
 
 _K, _STEP = 1655.0, two_way_echoes._STEP
 

@@ -33,8 +33,8 @@ from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.physical_optics import followed_by, scattered
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
-from twin.radar.propagation.rows import phasors
 from twin.radar.propagation.scene.scattering_models import Assignment
+from twin.radar.rows import alike, phasors
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 from twin.scene.boxes import boxes_of
@@ -215,9 +215,8 @@ def _passing(obstacles: Screens, alone: _Alone, body: int) -> Contributions:
     between the same cells, and of nearly one length and rate, as one.
     """
     every = alone.places.reshape(-1, 3)
-    _, row, number = np.unique(
-        np.round(every / _SAME_M), axis=0, return_index=True, return_inverse=True
-    )
+    number = alike(list(np.round(every / _SAME_M).astype(np.int64).T))
+    row = np.unique(number, return_index=True)[1]
     passed, ends = waves_past(obstacles, every[row], body), number.reshape(2, -1)
     strongest = np.abs(passed.wave).max(axis=1)
     place, _ = legs = np.nonzero(

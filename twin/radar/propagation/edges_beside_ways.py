@@ -22,6 +22,7 @@ from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.physical_optics import followed_by
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.rows import alike
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -230,11 +231,14 @@ def _changed(
     followed = followed_by(obstacles, fidelity)
     body = levels.of_object[some.object]
     ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
-    pairs, number = np.unique(np.stack([np.tile(body, 2), ends], 1), axis=0, return_inverse=True)
+    both = np.tile(body, 2)
+    number = alike([both, ends])
+    first = np.unique(number, return_index=True)[1]
+    pairs = zip(both[first].tolist(), ends[first].tolist(), strict=True)
     points = {
         one: points_of(prepared, np.flatnonzero(levels.of_object == one))
         for one in np.unique(body).tolist()
     }
-    waves = levels_beside(followed, [(b, image) for b, image in pairs.tolist()], points)
+    waves = levels_beside(followed, list(pairs), points)
     out, back = waves[number.reshape(2, -1)]
     return replace(some, amplitude=some.amplitude * ((1 + out) * (1 + back) - 1))

@@ -25,8 +25,8 @@ from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turn
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.rows import lengths
 from twin.radar.propagation.scene.images import Image
+from twin.radar.rows import lengths
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
 from twin.scene import Target

@@ -6,7 +6,7 @@ ends. Directions and rates are means: at the elements farthest from the middle, 
 burst, a sum of independent echoes is off by 4 % by each of these, by less elsewhere.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
+from twin.radar.rows import alike
 from twin.radar.synthesis.contributions import Contributions
 
 Array = NDArray[np.float64]
@@ -99,11 +100,11 @@ def _joined(
         wave = received * share * np.exp(1j * (k * (delay_s - echoes.delay_s) % (2 * np.pi)))
         parts.append(replace(echoes, amplitude=wave, delay_s=delay_s))
     both = Contributions.concatenate(parts)
-    group = _groups([*_numbers(echoes), *_in_steps(echoes, resolution)])
+    group = alike([*_numbers(echoes), *_in_steps(echoes, resolution)])
     number = np.concatenate([lower, lower + 1])
     weight = np.abs(both.amplitude)
     weight += _LEAST_WEIGHT * (weight.max() or 1.0)  # directions of silent ones have a mean, too
-    sums = _Sums(_groups([np.tile(group, 2), number]), weight)
+    sums = _Sums(alike([np.tile(group, 2), number]), weight)
     one = both.take(sums.first)
     means: dict[str, Any] = {name: sums.mean(getattr(both, name)) for name in _CONTINUOUS}
     for name in ("departure", "arrival"):
@@ -159,13 +160,3 @@ def _in_steps(echoes: Contributions, resolution: Resolution) -> list[Indices]:
         values = getattr(echoes, name)
         columns += [np.floor(row / size).astype(np.int64) for row in np.atleast_2d(values.T)]
     return columns
-
-
-def _groups(columns: Sequence[Indices]) -> Indices:
-    """A number from 0 for each combination of values in columns, (n,)."""
-    key = np.zeros(len(columns[0]), dtype=np.int64)
-    for column in columns:
-        span = int(np.ptp(column)) + 1
-        if span > 1:
-            key = np.unique(key * span + (column - column.min()), return_inverse=True)[1]
-    return key

@@ -43,8 +43,8 @@ from twin.radar.propagation.diffraction.two_obstacles import (
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import PointPaths, paths_to_points
-from twin.radar.propagation.rows import phasors
 from twin.radar.propagation.scene.images import Image, mirrored
+from twin.radar.rows import phasors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

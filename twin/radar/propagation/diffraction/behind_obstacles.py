@@ -39,7 +39,7 @@ from twin.radar.propagation.diffraction.shadowed_facets import front_facets
 from twin.radar.propagation.diffraction.side_echoes import side_echoes
 from twin.radar.propagation.diffraction.unfollowed_waves import FaintWaves, faint_waves
 from twin.radar.propagation.diffraction.views import TwoViews, two_views
-from twin.radar.propagation.rows import lengths
+from twin.radar.rows import lengths
 from twin.radar.synthesis import Contributions
 from twin.radar.synthesis.joined import Resolution, joined
 

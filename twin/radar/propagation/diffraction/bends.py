@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.diffraction.double_bends import DoubleBends
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
-from twin.radar.propagation.rows import dots, lengths
+from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

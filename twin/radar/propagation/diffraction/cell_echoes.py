@@ -21,7 +21,7 @@ from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed, sums
 from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths
-from twin.radar.propagation.rows import dots, lengths
+from twin.radar.rows import dots, lengths
 from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.synthesis import Contributions

@@ -19,7 +19,7 @@ from twin.radar.propagation.diffraction.shadowed_facets import (
     shown_facets,
 )
 from twin.radar.propagation.diffraction.views import TwoViews, View
-from twin.radar.propagation.rows import dots, lengths
+from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

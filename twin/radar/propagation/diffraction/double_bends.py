@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
-from twin.radar.propagation.rows import dots, lengths, phasors
+from twin.radar.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

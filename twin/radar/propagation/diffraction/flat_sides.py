@@ -19,7 +19,7 @@ from twin.geometry.edges import EdgeTable, connected
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
 from twin.radar.propagation.diffraction.two_edges import ONE_EDGE
 from twin.radar.propagation.meshes.silhouettes import Outline
-from twin.radar.propagation.rows import dots, lengths, phasors
+from twin.radar.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -29,9 +29,9 @@ from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.rows import lengths
 from twin.radar.propagation.scene.images import Image, in_plane, mirrored
 from twin.radar.propagation.scene.mesh_scene import Flat, Flats
+from twin.radar.rows import lengths
 
 Array = NDArray[np.float64]
 

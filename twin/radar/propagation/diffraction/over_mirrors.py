@@ -11,8 +11,8 @@ from twin.radar.propagation.diffraction.mirrors import RIGHT, border
 from twin.radar.propagation.diffraction.shadow_bounds import level_beside
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.rows import dots, lengths
 from twin.radar.propagation.scene.images import Image
+from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 

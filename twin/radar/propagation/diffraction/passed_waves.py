@@ -16,7 +16,7 @@ from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.one_way.points import paths_to_points
-from twin.radar.propagation.rows import lengths, phasors
+from twin.radar.rows import alike, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -87,8 +87,7 @@ def waves_past(obstacles: Screens, places: Array, body: int) -> PassedWaves:
 
 def _cells(places: Array) -> tuple[Indices, Indices]:
     """The place in the middle of each cell, (n_cells,), and the cell of every place, (n,)."""
-    _, cell = np.unique(np.floor(places / _CELL_M), axis=0, return_inverse=True)
-    cell = cell.reshape(-1)
+    cell = alike(list(np.floor(places / _CELL_M).astype(np.int64).T))
     size = np.bincount(cell)
     middle = np.stack([np.bincount(cell, x) / size for x in places.T], axis=1)
     order = np.lexsort((lengths(places - middle[cell]), cell))

@@ -13,7 +13,7 @@ from twin.radar.propagation.diffraction.knife_edge import (
     missing_edge_factor,
 )
 from twin.radar.propagation.meshes.silhouettes import Outline
-from twin.radar.propagation.rows import dots, lengths
+from twin.radar.rows import alike, dots, lengths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -80,11 +80,9 @@ def rim_paths(
     amplitude: over its edges and over their ends.
     """
     pairs = _pairs(rim, places - source, wavenumber, farthest(faintest))
-    ends = [_end_paths(pairs, end, _NEGLIGIBLE * faintest) for end in (0, 1)]
-    paths = DiffractedPaths.concatenate(
-        [_edge_paths(pairs), _summed_at_corners(DiffractedPaths.concatenate(ends))]
-    )
-    return replace(paths, stops=paths.stops + source)
+    paths = [_edge_paths(pairs), _paths_over_ends(pairs, _NEGLIGIBLE * faintest)]
+    both = DiffractedPaths.concatenate(paths)
+    return replace(both, stops=both.stops + source)
 
 
 def edge_paths(
@@ -93,6 +91,13 @@ def edge_paths(
     """Only the paths over edges, without those over their ends."""
     paths = _edge_paths(_pairs(rim, places - source, wavenumber, farthest(faintest)))
     return replace(paths, stops=paths.stops + source)
+
+
+def end_paths(rim: Outline, direct: Array, wavenumber: float, faintest: float) -> DiffractedPaths:
+    """Only the paths over ends of edges, to the ends of vectors (n, 3) from the source, which stops
+    are relative to as well.
+    """
+    return _paths_over_ends(_pairs(rim, direct, wavenumber, farthest(faintest)), faintest)
 
 
 def near_edges(
@@ -196,6 +201,13 @@ def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     return _paths_by(pairs, place, pairs.q, along[pairs.edge], aside, amplitude, lit_m)
 
 
+def _paths_over_ends(pairs: _Pairs, faintest: float) -> DiffractedPaths:
+    """Paths over both ends of edges, those that meet in one corner added up."""
+    return _summed_at_corners(
+        DiffractedPaths.concatenate([_end_paths(pairs, end, faintest) for end in (0, 1)])
+    )
+
+
 def _end_paths(pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
     """Paths over one end of edges, which subtract the edge missing beyond it; ``item``: the
     corner.
@@ -266,15 +278,10 @@ def merged(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
     """Paths to a point of nearly the same length and place as one: a curved outline has
     hundreds.
     """
-    cells = np.hstack(
-        [
-            paths.point[:, None],
-            np.floor(paths.longer_m / _MERGED_LENGTH_M)[:, None],
-            np.floor(paths.stops[:, 0] / _MERGED_PLACE_M),
-            (paths.stops[:, :1] != paths.stops[:, 1:]).any(axis=2),  # over two edges
-        ]
-    )
-    _, same = np.unique(cells, axis=0, return_inverse=True)
+    length = np.floor(paths.longer_m / _MERGED_LENGTH_M).astype(np.int64)
+    place = np.floor(paths.stops[:, 0] / _MERGED_PLACE_M).astype(np.int64)
+    is_twice = (paths.stops[:, 0] != paths.stops[:, 1]).any(axis=1).astype(np.int64)
+    same = alike([paths.point, length, *place.T, is_twice])
     order = np.lexsort((-np.abs(paths.amplitude), same))
     one = order[np.unique(same[order], return_index=True)[1]]
     turn = np.exp(-1j * wavenumber * (paths.longer_m - paths.longer_m[one][same]))

@@ -12,7 +12,7 @@ from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.facets.uniform_subdivision import longest_edges
 from twin.radar.propagation.one_way.path import offset_m
-from twin.radar.propagation.rows import dots, lengths
+from twin.radar.rows import alike, dots, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -214,8 +214,4 @@ def some_facets(view: View, body: int) -> tuple[Facets, NDArray[np.bool_]]:
 def in_voxels(facets: Facets, size_m: Array) -> Facets:
     """With each cell divided into smaller ones of a size, (n_cells,)."""
     voxel = np.floor(facets.middle / size_m[facets.cell][:, None]).astype(np.int64)
-    voxel -= voxel.min(axis=0, initial=0)
-    sizes = (int(facets.cell.max(initial=0)) + 1, *(voxel.max(axis=0, initial=0) + 1).tolist())
-    keys = np.ravel_multi_index((facets.cell, *voxel.T), sizes)
-    _, cell = np.unique(keys, return_inverse=True)
-    return replace(facets, cell=cell.reshape(-1))
+    return replace(facets, cell=alike([facets.cell, *voxel.T]))

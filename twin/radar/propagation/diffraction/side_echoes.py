@@ -21,8 +21,8 @@ from twin.radar.propagation.diffraction.shadowed_facets import Facets, in_voxels
 from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import paths_to_points
-from twin.radar.propagation.rows import lengths, phasors
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
+from twin.radar.rows import lengths, phasors
 from twin.radar.scattering.surface import TABLE_STEPS
 from twin.radar.synthesis import Contributions
 

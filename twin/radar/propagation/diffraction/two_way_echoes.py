@@ -15,7 +15,7 @@ from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import FLAT_RAD, Facets
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.propagation.rows import dots, lengths, phasors
+from twin.radar.rows import dots, lengths, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]

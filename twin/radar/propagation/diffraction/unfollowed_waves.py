@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
-from twin.radar.propagation.diffraction.rims import farthest
+from twin.radar.propagation.diffraction.rims import end_paths, farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.rows import lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
+_LEAST_OF_ENDS = 0.3  # of the faintest wave that is followed
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 
 
@@ -74,34 +76,90 @@ def faint_waves(
     ``strength`` (n,): echo of each facet, were its waves in phase; ``other_way`` (n_cells,): of the
     waves on the other way, over the straight one.
     """
-    order = np.argsort(facets.cell, kind="stable")
-    facets, strength = facets.take(order), strength[order]
-    middle, size = facets.middle, np.bincount(facets.cell)
-    center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1) - view.place
-    weight = strength * other_way[facets.cell]
-    direct, back = middle - view.place, other.place - middle
-    straight, again = (np.linalg.norm(way, axis=1) for way in (direct, back))
-    back /= again[:, None]
-    k, deepest = view.obstacles.wavenumber, farthest(view.obstacles.faintest)
-    found = [FaintWaves(len(size), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))]
-    for rim in view.all_rims(body, center):
+    of = _Lit.by(view, other, facets, strength, other_way)
+    found = [
+        FaintWaves(len(of.center), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))
+    ]
+    for rim in view.all_rims(body, of.center):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
-        for first in range(0, len(center) if len(rim.ends) else 0, step):
-            cell, edge = _met(rim, center[first : first + step])
-            pair, row = _of_sorted(cell + first, size)
-            longer, towards = _over(rim, edge[pair], direct[row], straight[row])
-            is_shadow = np.sum(rim.lit[edge[pair]] * direct[row], axis=1) <= 0
-            is_far = (k * longer > deepest) & (weight[row] > 0)
-            row, longer, towards = row[is_far], longer[is_far], towards[is_far]
-            # Reversed in the light: past both sides of a post, half a cycle apart, they add up.
-            wave = np.where(is_shadow[is_far], 1, -1) * weight[row] * knife_edge_factor(k * longer)
-            wave *= facets.take(row).mean(k * (back[row] + towards))
-            length = straight[row] + again[row] + longer
-            wave *= np.exp(-1j * (k * length % (2 * np.pi)))
-            number = np.floor(length / _BIN_M).astype(np.int64)
-            level = 1 / np.sqrt(4 * np.pi * k * longer)
-            found.append(FaintWaves(len(size), facets.cell[row], level, number, wave))
+        for first in range(0, len(of.center) if len(rim.ends) else 0, step):
+            cells = slice(first, first + step)
+            found += [_over_edges(of, rim, cells), _over_ends(of, rim, cells)]
     return FaintWaves.concatenate(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    """Facets in order of their cells, (n, ...), as waves from a view light them: ``direct`` vectors
+    from there (n, 3), unit vectors ``back`` to the other view, lengths of both straight ways, and
+    the ``weight`` of echoes; of cells, (m, ...), the ``size`` and the ``center`` from the view.
+    Waves are fainter than ``faintest``.
+    """
+
+    facets: Facets
+    direct: Array
+    straight: Array
+    back: Array
+    again: Array
+    weight: Array
+    size: Indices
+    center: Array
+    wavenumber: float
+    faintest: float
+
+    @staticmethod
+    def by(view: View, other: View, facets: Facets, strength: Array, other_way: Array) -> "_Lit":
+        """As of `faint_waves`."""
+        order = np.argsort(facets.cell, kind="stable")
+        facets, weight = facets.take(order), (strength * other_way[facets.cell])[order]
+        middle, size = facets.middle, np.bincount(facets.cell)
+        center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1)
+        direct, back = middle - view.place, other.place - middle
+        straight, again = lengths(direct), lengths(back)
+        back /= again[:, None]
+        k, faintest = view.obstacles.wavenumber, view.obstacles.faintest
+        center -= view.place
+        return _Lit(facets, direct, straight, back, again, weight, size, center, k, faintest)
+
+    def waves(
+        self, row: Indices, longer: Array, towards: Array, level: Array, wave: Complex
+    ) -> FaintWaves:
+        """By facets, (p,), of waves over edges, over the straight one and without its phase."""
+        k = self.wavenumber
+        length = self.straight[row] + self.again[row] + longer
+        echo = self.weight[row] * wave * np.exp(-1j * (k * length % (2 * np.pi)))
+        echo *= self.facets.take(row).mean(k * (self.back[row] + towards))
+        number = np.floor(length / _BIN_M).astype(np.int64)
+        return FaintWaves(len(self.size), self.facets.cell[row], level, number, echo)
+
+
+def _over_edges(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
+    """By edges between their ends."""
+    k = of.wavenumber
+    cell, edge = _met(rim, of.center[cells])
+    pair, row = _of_sorted(cell + cells.start, of.size)
+    longer, towards = _over(rim, edge[pair], of.direct[row], of.straight[row])
+    is_shadow = np.sum(rim.lit[edge[pair]] * of.direct[row], axis=1) <= 0
+    is_far = (k * longer > farthest(of.faintest)) & (of.weight[row] > 0)
+    row, longer, towards = row[is_far], longer[is_far], towards[is_far]
+    # Reversed in the light: past both sides of a post, half a cycle apart, they add up.
+    wave = np.where(is_shadow[is_far], 1, -1) * knife_edge_factor(k * longer)
+    return of.waves(row, longer, towards, 1 / np.sqrt(4 * np.pi * k * longer), wave)
+
+
+def _over_ends(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
+    """By ends of edges, at all of a cell as strong as in its middle."""
+    least = _LEAST_OF_ENDS * of.faintest
+    ends = end_paths(rim, of.center[cells], of.wavenumber, least)
+    level = np.abs(ends.amplitude)
+    ends = ends.take((level >= least) & (level < of.faintest))
+    pair, row = _of_sorted(ends.point + cells.start, of.size)
+    stop, amplitude = ends.stops[pair, 0], ends.amplitude[pair]
+    towards = stop - of.direct[row]
+    rest = lengths(towards)
+    longer = np.maximum(lengths(stop) + rest - of.straight[row], 0)
+    towards /= np.maximum(rest, 1e-300)[:, None]
+    return of.waves(row, longer, towards, np.abs(amplitude), amplitude)
 
 
 def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:
