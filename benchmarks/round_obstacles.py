@@ -1,6 +1,7 @@
 """Echoes round obstacles: what the solver states as their error, and what it is.
 
-In random scenes, boxes and balls behind a rectangular screen or a fence of many posts, the truth is
+In random scenes, boxes and balls behind a rectangular screen, a fence of many posts or a sheet with
+four corners in the air, the truth is
 Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
 one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
 ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`), also
@@ -49,12 +50,14 @@ _RANDOM = 24  # scenes
 _KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screens
 _OF_A_KIND = 20
 _FENCES = 24
+_SHEETS = 40
 _OVER_GROUND = 40
 _HIDDEN = 40
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
 _NOTHING = 1e-9  # of a body's level
 _PERMITTED = 0.01  # of a body's level: a tenth of the tolerance
 _BETWEEN_M = 2.5e-3  # places between which the field behind a plane is interpolated
+_WAVELENGTH_M = speed_of_light / 79e9
 _OFFSETS_HZ = np.array([-1.5e9, 0.0, 1.5e9])  # from the carrier
 
 
@@ -85,6 +88,8 @@ def figures() -> Iterator[Figure]:
     yield from _told("by brute force", by_brute_force(named))
     named = {f"fence {seed}": behind_fence(seed) for seed in range(_FENCES)}
     yield from _told("by brute force, fences", by_brute_force(named))
+    named = {f"sheet {seed}": beside_sheet(seed) for seed in range(_SHEETS)}
+    yield from _told("by brute force, sheets", by_brute_force(named))
     two = {f"{kind} {seed}": kind for kind in _KINDS for seed in range(_OF_A_KIND)}
     named = {name: behind_two_screens(kind, int(name.split()[1])) for name, kind in two.items()}
     yield from _told("by the double integral", by_brute_force(named))
@@ -319,6 +324,23 @@ def random_scene(rng: np.random.Generator) -> Scene:
     before = center * rng.uniform(0.4, 0.8) + [0, rng.uniform(-0.5, 0.5) * size, 0]
     body = thing("body", mesh.vertices + center, mesh.faces)
     return scene_of_objects([body, thing("screen", corners + before, [[0, 1, 2], [0, 2, 3]])])
+
+
+def beside_sheet(seed: int) -> Scene:
+    """A box or a ball near the way to which a sheet hangs, of 0.3 to 6 radii of the first Fresnel
+    zone, all of whose corners may send waves.
+    """
+    rng = np.random.default_rng([seed, 4])
+    mesh, _ = _random_body(rng)
+    distance_m, share = rng.uniform(5.0, 15.0), rng.uniform(0.25, 0.85)
+    center = distance_m * np.array([1.0, rng.uniform(-0.3, 0.3), 0.0])
+    zone_m = np.sqrt(_WAVELENGTH_M * share * (1 - share) * distance_m)
+    first = 2 * zone_m * rng.normal(size=2)
+    size = zone_m * np.exp(rng.uniform(np.log(0.3), np.log(6.0), 2)) * rng.choice([-1, 1], 2)
+    (y, y2), (z, z2) = np.sort([first, first + size], axis=0).T
+    corners = share * center + np.array([[0, y, z], [0, y2, z], [0, y2, z2], [0, y, z2]])
+    body = thing("body", mesh.vertices + center, mesh.faces)
+    return scene_of_objects([body, thing("sheet", corners, [[0, 1, 2], [0, 2, 3]])])
 
 
 def _random_body(rng: np.random.Generator) -> tuple[trimesh.Trimesh, float]:

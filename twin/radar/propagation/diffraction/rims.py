@@ -149,6 +149,15 @@ class _Pairs:
         depth: Array = dots(place, self.direct) / dots(self.places, self.places)[self.point]
         return depth
 
+    def longer_over(self, ends: Array) -> Array:
+        """By how much paths over an end of each edge of the rim, (m, 3), are longer than direct
+        ones, (n,).
+        """
+        there, direct = lengths(ends), lengths(self.places)
+        square = direct[:, None] ** 2 + there**2 - 2 * self.places @ ends.T
+        longer: Array = there + np.sqrt(np.maximum(square, 0)) - direct[:, None]
+        return longer[self.point, self.edge]
+
 
 def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pairs:
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
@@ -213,16 +222,15 @@ def _end_paths(pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
     corner.
     """
     rim, ends = pairs.rim, pairs.rim.ends[:, end]
-    depth = pairs.depth(ends[pairs.edge])
-    pairs = pairs.take((depth > 0) & (depth < 1))
-    place = ends[pairs.edge]
-    broken = lengths(ends)[pairs.edge] + lengths(pairs.direct - place)
-    straight = lengths(pairs.places)[pairs.point]
-    p = np.maximum(pairs.wavenumber * (broken - straight) - pairs.q, 0)
+    p = np.maximum(pairs.wavenumber * pairs.longer_over(ends) - pairs.q, 0)
     # Its level, by the first term of its asymptotic series.
     level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
     some = np.flatnonzero(level > faintest)
-    pairs, place, p = pairs.take(some), place[some], p[some]
+    pairs, p = pairs.take(some), p[some]
+    depth = pairs.depth(ends[pairs.edge])
+    some = np.flatnonzero((depth > 0) & (depth < 1))
+    pairs, p = pairs.take(some), p[some]
+    place = ends[pairs.edge]
     inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
     turn = np.where(pairs.lit_m > 0, 1, -1) * np.where(inwards > 0, 1, -1)
     amplitude = turn * missing_edge_factor(pairs.q, p)

@@ -25,7 +25,7 @@ Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
-_LEAST_OF_ENDS = 0.3  # of the faintest wave that is followed
+_LEAST_OF_ENDS = 0.1  # of the faintest wave that is followed
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 
 
