@@ -56,6 +56,10 @@ _MOST_ECHOES = 2**21
 _UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.35
 _OF_CELLS = 0.3  # of the estimates of cells, at most
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
+#: Waves over ends of edges that are stated, over the straight wave: by what else a body may be off
+#: by, over its limit, by the root of its number of cells, and between these. All of them would take
+#: the yard and the street 2 s more.
+_ENDS, _LEAST_OF_ENDS = (5e-5, 1e-4), (0.001, 0.01)
 _OF_OTHERS = 0.27  # of the error of cells: that of faint waves that are not followed for it
 #: Cells on ways over mirrors, at most, over those on direct ways: as many of both tell of the
 #: yard's car 46 % instead of 47, in 0.6 s more.
@@ -112,9 +116,10 @@ def echoes_behind(
         (body, two_views(obstacles, *images)) for body, *images in over_mirrors if body in bodies
     ]
     fewer = replace(accepted, most=int(np.ceil(_OVER_MIRRORS * accepted.most)))
+    straight = _followed(direct, surface_of_object, gain, accepted, np.zeros(len(accepted.limit)))
     parts = [
-        _followed(direct, surface_of_object, gain, accepted),
-        _followed(over, surface_of_object, gain, fewer),
+        straight,
+        _followed(over, surface_of_object, gain, fewer, straight.bound),
         _by_sides(obstacles, surface_of_object, bodies, gain, accepted),
     ]
     # Independent of each other.
@@ -141,12 +146,15 @@ def _followed(
     surface_of_object: NDArray[np.uint32],
     gain: Gain,
     accepted: Accepted,
+    beside: Array,
 ) -> _Part:
-    """By ways to bodies, those of all bodies in the same number of cells."""
+    """By ways to bodies, those of all bodies in the same number of cells; ``beside`` what waves on
+    other ways may change, (n_bodies,).
+    """
     bound, left_out, unfollowed = np.zeros((3, len(accepted.limit)))
     candidates = []
     for body, views in ways:
-        found = _of_body(views, body, gain, accepted)
+        found = _of_body(views, body, gain, accepted, float(np.hypot(beside, bound)[body]))
         bound[body] = np.hypot(bound[body], found.bound)
         left_out[body] += found.left_out
         unfollowed[body] = np.hypot(unfollowed[body], found.faint)
@@ -188,9 +196,10 @@ class _OfBody(NamedTuple):
     faint: float
 
 
-def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfBody:
+def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted, beside: float) -> _OfBody:
     """Waves that are fainter than those followed everywhere are followed where they count by
-    themselves, and are not far below what the cells are off by for the stronger ones.
+    themselves, and are not far below what the cells are off by for the stronger ones. Those over
+    ends of edges are looked for down to amplitudes that may count ``beside`` what else may change.
     """
     limit, faintest = accepted.limit[body], views.one.obstacles.faintest
     everywhere = views.down_to(max(accepted.faintest, faintest))
@@ -200,7 +209,10 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
     whole = Candidates.of(everywhere, facets, body, gain, is_lit)
     has_fainter = faintest < everywhere.one.obstacles.faintest
     deepest = Candidates.of(views, facets, body, gain, is_lit) if has_fainter else whole
-    faint = _faint(whole, deepest, is_lit, gain)
+    off = _OF_CELLS * np.hypot(beside / _SURE, np.linalg.norm(whole.change))
+    ends = max(_ENDS[0] * off / limit, _ENDS[1] * np.sqrt(len(whole.change)))
+    ends = float(np.clip(ends, *_LEAST_OF_ENDS))
+    faint = _faint(whole, deepest, is_lit, gain, ends)
     is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most) & has_fainter
     deep = deepest.take(is_deep)
     rest = whole.take(~is_deep)
@@ -221,17 +233,21 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted) -> _OfB
 
 
 def _faint(
-    followed: Candidates, deepest: Candidates, is_lit: NDArray[np.bool_], gain: Gain
+    followed: Candidates,
+    deepest: Candidates,
+    is_lit: NDArray[np.bool_],
+    gain: Gain,
+    least_of_ends: float,
 ) -> FaintWaves:
     """Of waves over edges that are fainter than ``followed`` ones on one way, while the other is
-    straight, or led over edges.
+    straight, or led over edges; over ends of edges from an amplitude on.
     """
     views, facets = followed.views, followed.facets
     level = strength(views, facets, gain)
     other_way = deepest.other_ways(is_lit, apart=followed) * (2 if views.are_same else 1)
     return FaintWaves.concatenate(
         [
-            faint_waves(view, other, facets, followed.body, level, way)
+            faint_waves(view, other, facets, followed.body, level, way, least_of_ends)
             for view, other, way in zip(views.each, views.each[::-1], other_way, strict=True)
         ]
     )

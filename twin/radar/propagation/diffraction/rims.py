@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an edge's end is left out
+_OF_TWO = 0.3  # likewise, where nothing but ends is looked for
+_FAR = 3.0  # rad: of a path over an edge's end over the edge's own one
 #: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it.
 BESIDE = 0.05
 _MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
@@ -94,10 +96,13 @@ def edge_paths(
 
 
 def end_paths(rim: Outline, direct: Array, wavenumber: float, faintest: float) -> DiffractedPaths:
-    """Only the paths over ends of edges, to the ends of vectors (n, 3) from the source, which stops
-    are relative to as well.
+    """Only the paths over ends of edges, down to an amplitude, to the ends of vectors (n, 3) from
+    the source, which stops are relative to as well; of each edge to 1 / (2 `_FAR`) where its end
+    is far from where its own path meets it.
     """
-    return _paths_over_ends(_pairs(rim, direct, wavenumber, farthest(faintest)), faintest)
+    pairs = _pairs(rim, direct, wavenumber, farthest(faintest))
+    paths = _paths_over_ends(pairs, _OF_TWO * faintest, _FAR)
+    return paths.take(np.abs(paths.amplitude) >= faintest)
 
 
 def near_edges(
@@ -210,33 +215,33 @@ def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     return _paths_by(pairs, place, pairs.q, along[pairs.edge], aside, amplitude, lit_m)
 
 
-def _paths_over_ends(pairs: _Pairs, faintest: float) -> DiffractedPaths:
+def _paths_over_ends(pairs: _Pairs, faintest: float, far: float = np.inf) -> DiffractedPaths:
     """Paths over both ends of edges, those that meet in one corner added up."""
-    return _summed_at_corners(
-        DiffractedPaths.concatenate([_end_paths(pairs, end, faintest) for end in (0, 1)])
-    )
+    ends = [_end_paths(pairs, end, faintest, far) for end in (0, 1)]
+    return _summed_at_corners(DiffractedPaths.concatenate(ends))
 
 
-def _end_paths(pairs: _Pairs, end: int, faintest: float) -> DiffractedPaths:
-    """Paths over one end of edges, which subtract the edge missing beyond it; ``item``: the
-    corner.
+def _end_paths(pairs: _Pairs, end: int, faintest: float, far: float) -> DiffractedPaths:
+    """Paths over one end of edges, which subtract the edge missing beyond it: from a phase ``far``
+    on by the first term of an asymptotic series; ``item``: the corner.
     """
     rim, ends = pairs.rim, pairs.rim.ends[:, end]
     p = np.maximum(pairs.wavenumber * pairs.longer_over(ends) - pairs.q, 0)
-    # Its level, by the first term of its asymptotic series.
+    # By the first term.
     level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
     some = np.flatnonzero(level > faintest)
-    pairs, p = pairs.take(some), p[some]
+    pairs, p, factor = pairs.take(some), p[some], -1j * level[some]
     depth = pairs.depth(ends[pairs.edge])
     some = np.flatnonzero((depth > 0) & (depth < 1))
-    pairs, p = pairs.take(some), p[some]
+    pairs, p, factor = pairs.take(some), p[some], factor[some]
+    near = p < far
+    factor[near] = missing_edge_factor(pairs.q[near], p[near])
     place = ends[pairs.edge]
     inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
     turn = np.where(pairs.lit_m > 0, 1, -1) * np.where(inwards > 0, 1, -1)
-    amplitude = turn * missing_edge_factor(pairs.q, p)
-    none, far = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
+    none, unlit_m = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
     aside = _beside_m(pairs, place)[:, None] * rim.aside[pairs.edge, end]
-    paths = _paths_by(pairs, place, pairs.q + p, none, aside, amplitude, far)
+    paths = _paths_by(pairs, place, pairs.q + p, none, aside, turn * factor, unlit_m)
     return replace(paths, item=rim.corner[pairs.edge, end])
 
 

@@ -25,7 +25,6 @@ Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _BIN_M = 7.5e-2  # of path lengths that a band of 4 GHz does not tell apart
-_LEAST_OF_ENDS = 0.1  # of the faintest wave that is followed
 _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 
 
@@ -69,12 +68,14 @@ def faint_waves(
     body: int,
     strength: Array,
     other_way: Array,
+    least_of_ends: float,
 ) -> FaintWaves:
     """Of a body, all that are fainter than those that obstacles' edges are asked for, on ways of a
     view, while the ``other`` way is straight.
 
     ``strength`` (n,): echo of each facet, were its waves in phase; ``other_way`` (n_cells,): of the
-    waves on the other way, over the straight one.
+    waves on the other way, over the straight one; ``least_of_ends``: of waves over ends of edges,
+    over the straight one.
     """
     of = _Lit.by(view, other, facets, strength, other_way)
     found = [
@@ -84,7 +85,7 @@ def faint_waves(
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(of.center) if len(rim.ends) else 0, step):
             cells = slice(first, first + step)
-            found += [_over_edges(of, rim, cells), _over_ends(of, rim, cells)]
+            found += [_over_edges(of, rim, cells), _over_ends(of, rim, cells, least_of_ends)]
     return FaintWaves.concatenate(found)
 
 
@@ -147,12 +148,10 @@ def _over_edges(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
     return of.waves(row, longer, towards, 1 / np.sqrt(4 * np.pi * k * longer), wave)
 
 
-def _over_ends(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
+def _over_ends(of: _Lit, rim: Outline, cells: slice, least: float) -> FaintWaves:
     """By ends of edges, at all of a cell as strong as in its middle."""
-    least = _LEAST_OF_ENDS * of.faintest
     ends = end_paths(rim, of.center[cells], of.wavenumber, least)
-    level = np.abs(ends.amplitude)
-    ends = ends.take((level >= least) & (level < of.faintest))
+    ends = ends.take(np.abs(ends.amplitude) < of.faintest)
     pair, row = _of_sorted(ends.point + cells.start, of.size)
     stop, amplitude = ends.stops[pair, 0], ends.amplitude[pair]
     towards = stop - of.direct[row]
