@@ -9,7 +9,7 @@ import trimesh
 from scipy.special import erfc
 
 from benchmarks.kirchhoff import echo_behind
-from benchmarks.round_obstacles import against_brute_force, behind_fence
+from benchmarks.round_obstacles import against_brute_force, behind_fence, beside_sheet
 from tests.physics.radar_worlds import (
     CARRIER_HZ,
     RADAR,
@@ -255,6 +255,16 @@ def _past_the_edge(
     range_m = np.sqrt(x**2 + y**2 + z**2)
     own = weight * np.exp(-2j * K * (range_m - 10)) / range_m**2
     return complex(np.sum(past**2 * own) / np.sum(own))
+
+
+@pytest.mark.parametrize("seed", [22, 24])
+def test_waves_over_corners_of_a_sheet_are_stated_or_followed(seed: int) -> None:
+    """By Kirchhoff's integral along the rim of a sheet in the air: nothing had been stated where
+    0.04 of a box's level was missing, by one of its flashes, and 0.03 where it was 0.14.
+    """
+    (body,) = against_brute_force("sheet", beside_sheet(seed), RADAR)
+    assert body.true < body.stated
+    assert body.stated < 8 * body.true
 
 
 @pytest.mark.thorough
