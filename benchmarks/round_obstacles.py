@@ -1,8 +1,8 @@
 """Echoes round obstacles: what the solver states as their error, and what it is.
 
 In random scenes, boxes and balls behind a rectangular screen, a fence of many posts or a sheet with
-four corners in the air, the truth is
-Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
+four corners in the air, the truth is Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at
+three frequencies; behind two screens,
 one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
 ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`), also
 behind screens that hide a body on all ways. On the yard and the street it are cells of half the

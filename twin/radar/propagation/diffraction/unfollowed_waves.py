@@ -3,9 +3,9 @@
 Of each cell of a body and each edge of other objects whose shortest path to the cell meets it
 between its ends: the knife-edge factor of every facet, with its own phase, and its answer to the
 wave from the edge's direction; and likewise of ends of edges, where the wave is that of the middle
-of the cell. Of a sheet in the air they may be all there is. Nothing is looked for that blocks a path, so that the sum is an
-estimate, not an echo. Facets at nearly one path length add up with their phases; different lengths,
-which the band tells apart, by their powers (Parseval).
+of the cell: of a sheet in the air they may be all there is. Nothing is looked for that blocks a
+path, so that the sum is an estimate, not an echo. Facets at nearly one path length add up with
+their phases; different lengths, which the band tells apart, by their powers (Parseval).
 """
 
 from collections.abc import Sequence
