@@ -79,21 +79,36 @@ def field_behind(screen: Array, places: Array, wavenumber: float) -> Complex:
     width = min(float(np.linalg.norm(screen[n] - screen[0])) for n in (1, 3))
     beyond = float(np.linalg.norm(places, axis=1).min() / np.linalg.norm(screen, axis=1).max())
     near_m = min(_NEAR_M, _OF_WIDTH * width * beyond)
-    field = _by_rim(screen, places, wavenumber, _PIECE * near_m)
+    sides = np.stack([screen, np.roll(screen, -1, axis=0)], axis=1)
+    return _beside_borders(sides, screen, places, wavenumber, near_m)
+
+
+def _beside_borders(
+    sides: Array, screen: Array, places: Array, wavenumber: float, near_m: float
+) -> Complex:
+    """The same, between places farther away from the borders of some sides (n, 2, 3) where they are
+    near these.
+    """
+    if not len(sides):
+        return _by_rim(screen, places, wavenumber, _PIECE * near_m)
+    (begin, end), others = sides[0], sides[1:]
     across = np.cross(screen[1] - screen[0], screen[3] - screen[0])
     met = places * ((screen[0] @ across) / (places @ across))[:, None]
-    for begin, end in zip(screen, np.roll(screen, -1, axis=0), strict=True):
-        normal = np.cross(begin, end) / np.linalg.norm(np.cross(begin, end))
-        length = float(np.linalg.norm(end - begin))
-        off, at = places @ normal, (met - begin) @ (end - begin) / length
-        near = np.flatnonzero((np.abs(off) < near_m) & (at > -near_m) & (at < length + near_m))
-        nodes, total = near_m * _BESIDE, np.zeros(len(near), dtype=complex)
-        for number, node in enumerate(nodes):
-            others = np.delete(nodes, number)
-            weight = np.prod((off[near, None] - others) / (node - others), axis=1)
-            moved = places[near] + (node - off[near])[:, None] * normal
-            total += weight * _by_rim(screen, moved, wavenumber, _PIECE * near_m)
-        field[near] = total
+    normal = np.cross(begin, end) / np.linalg.norm(np.cross(begin, end))
+    length = float(np.linalg.norm(end - begin))
+    off, at = places @ normal, (met - begin) @ (end - begin) / length
+    is_near = (np.abs(off) < near_m) & (at > -near_m) & (at < length + near_m)
+    field = np.zeros(len(places), dtype=complex)
+    if not is_near.all():
+        field[~is_near] = _beside_borders(others, screen, places[~is_near], wavenumber, near_m)
+    if not is_near.any():
+        return field
+    nodes, near = near_m * _BESIDE, places[is_near]
+    for number, node in enumerate(nodes):
+        rest = np.delete(nodes, number)
+        weight = np.prod((off[is_near, None] - rest) / (node - rest), axis=1)
+        moved = near + (node - off[is_near])[:, None] * normal
+        field[is_near] += weight * _beside_borders(others, screen, moved, wavenumber, near_m)
     return field
 
 

@@ -1,8 +1,8 @@
 """Echoes round obstacles: what the solver states as their error, and what it is.
 
-In random scenes, boxes and balls behind a rectangular screen, a fence of many posts or a sheet with
-four corners in the air, the truth is Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at
-three frequencies; behind two screens,
+In random scenes, boxes and balls behind a rectangular screen, a fence of many posts, a sheet with
+four corners in the air or a flat shape with corners near the line of sight, the truth is
+Kirchhoff's field by brute force (`benchmarks.kirchhoff`), at three frequencies; behind two screens,
 one behind the other, it is Kirchhoff's double integral (`benchmarks.screens_in_depth`); over a
 ground it is his field from the radar and from its image (`benchmarks.kirchhoff_over_ground`), also
 behind screens that hide a body on all ways. On the yard and the street it are cells of half the
@@ -51,6 +51,17 @@ _KINDS = ("layers", "corner", "random", "cross", "jut", "slit")  # of two screen
 _OF_A_KIND = 20
 _FENCES = 24
 _SHEETS = 40
+#: Flat shapes with corners, of rectangles.
+_SHAPES = {
+    "ell": ("#.", "##"),
+    "tee": ("###", ".#."),
+    "ring": ("###", "#.#", "###"),
+    "comb": ("#.#.#", "#####"),
+    "slit": ("#.#",),
+    "cross": (".#.", "###", ".#."),
+}
+_OF_A_SHAPE = 10
+_FEW = 8  # rectangles in a plane
 _OVER_GROUND = 40
 _HIDDEN = 40
 _FINE_DB, _FINENESS, _MANY = 45.0, 0.5, 30_000
@@ -90,6 +101,12 @@ def figures() -> Iterator[Figure]:
     yield from _told("by brute force, fences", by_brute_force(named))
     named = {f"sheet {seed}": beside_sheet(seed) for seed in range(_SHEETS)}
     yield from _told("by brute force, sheets", by_brute_force(named))
+    named = {
+        f"{kind} {seed}": beside_shape(kind, seed)
+        for kind in _SHAPES
+        for seed in range(_OF_A_SHAPE)
+    }
+    yield from _told("by brute force, shapes", by_brute_force(named))
     two = {f"{kind} {seed}": kind for kind in _KINDS for seed in range(_OF_A_KIND)}
     named = {name: behind_two_screens(kind, int(name.split()[1])) for name, kind in two.items()}
     yield from _told("by the double integral", by_brute_force(named))
@@ -216,7 +233,7 @@ def against_brute_force(name: str, scene: Scene, radar: RadarDesign) -> Iterator
     if solved.own[k] == 0:
         return
     told, stated = solved.by_default()
-    screens = [corners for item in obstacles for corners in item.vertices_m.reshape(-1, 4, 3)]
+    screens = [corners for item in obstacles for corners in _rectangles(item)]
     is_deep = np.ptp([corners[:, 0] for corners in screens]) > 0
     frequencies_hz = radar.ofdm.carrier_hz + (np.zeros(1) if is_deep else _OFFSETS_HZ)
     echo = solved.over_band(told, frequencies_hz)
@@ -264,6 +281,12 @@ def _by_images(found: Propagation, name: str, pair: tuple[int, int], carrier_hz:
     return complex(np.sum(some.amplitude * np.exp(-2j * np.pi * (carrier_hz * some.delay_s % 1))))
 
 
+def _rectangles(item: SceneObject) -> Array:
+    """Corners (n, 4, 3) of the rectangles that an obstacle is made of, two faces each."""
+    corners = item.vertices_m[item.geometry.faces].reshape(-1, 6, 3)
+    return np.asarray(corners[:, [0, 1, 2, 5]])
+
+
 def _behind_both(body: SceneObject, screens: list[Array], wavenumber: float) -> Field:
     """The field at places on a body, by Kirchhoff's integral over the planes of both."""
     rectangles: list[Rectangle] = [
@@ -279,7 +302,11 @@ def _behind_plane(body: SceneObject, screens: list[Array], wavenumber: float) ->
         return 1 - sum((1 - field_behind(s, places, wavenumber) for s in screens), start=0j)
 
     center, half_m = _around(body)
-    return interpolated(field, center, half_m, (5, int(2 * half_m / _BETWEEN_M), 17))
+    across = int(2 * half_m / _BETWEEN_M)
+    # Along the posts of a fence, which are many, the field changes slowly.
+    return interpolated(
+        field, center, half_m, (5, across, 17 if len(screens) > _FEW else max(across, 17))
+    )
 
 
 def _around(body: SceneObject) -> tuple[Array, float]:
@@ -341,6 +368,35 @@ def beside_sheet(seed: int) -> Scene:
     corners = share * center + np.array([[0, y, z], [0, y2, z], [0, y2, z2], [0, y, z2]])
     body = thing("body", mesh.vertices + center, mesh.faces)
     return scene_of_objects([body, thing("sheet", corners, [[0, 1, 2], [0, 2, 3]])])
+
+
+def beside_shape(kind: str, seed: int) -> Scene:
+    """A box, a ball or a plate near the way to which a flat shape hangs, one of whose corners is
+    within about a radius of the first Fresnel zone of that way.
+    """
+    rows = _SHAPES[kind]
+    rng = np.random.default_rng([seed, 5, len(kind), ord(kind[0])])
+    mesh, size = _random_body(rng)
+    if rng.random() < 0.5:
+        mesh = trimesh.creation.box((1e-3, *(size * rng.uniform(0.6, 1.4, 2))))
+        mesh.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    distance_m, share = rng.uniform(5.0, 15.0), rng.uniform(0.25, 0.85)
+    center = distance_m * np.array([1.0, rng.uniform(-0.3, 0.3), 0.0])
+    zone_m = np.sqrt(_WAVELENGTH_M * share * (1 - share) * distance_m)
+    lines = []
+    for count in (len(rows[0]), len(rows)):
+        steps = zone_m * np.exp(rng.uniform(np.log(0.1), np.log(3.0), count))
+        line = np.concatenate([[0.0], np.cumsum(steps)])
+        lines.append(line - line[rng.integers(count + 1)] + 0.7 * zone_m * rng.normal())
+    y, z = (line.ravel() for line in np.meshgrid(*lines))
+    corners = share * center + np.stack([0 * y, y, z], axis=1)
+    wide, faces = len(lines[0]), []
+    for i, row in enumerate(rows):
+        for j in np.flatnonzero(np.array(list(row)) == "#"):
+            a, b = i * wide + j, (i + 1) * wide + j
+            faces += [[a, a + 1, b + 1], [a, b + 1, b]]
+    body = thing("body", mesh.vertices + center, mesh.faces)
+    return scene_of_objects([body, thing(kind, corners, faces)])
 
 
 def _random_body(rng: np.random.Generator) -> tuple[trimesh.Trimesh, float]:
