@@ -123,7 +123,7 @@ def all_paths_to_points(
         if open_paths:
             paths = DiffractedPaths.concatenate(open_paths)
             _clear_near_edges(clear, paths)
-            paths = merged(paths, obstacles.wavenumber)
+            paths = merged(paths, segment.source, obstacles.wavenumber)
             paths = paths.take(np.abs(paths.amplitude) >= obstacles.faintest)
             point_paths.append(
                 _point_paths(obstacles, unobstructed.take(paths.point), paths, segment)
@@ -193,11 +193,19 @@ class Segment:
     def shown(self, paths: DiffractedPaths) -> DiffractedPaths:
         """Paths as the mirrors behind the segment show them, to the points themselves."""
         stops, beside = paths.stops, paths.stops + paths.aside
-        along = paths.stops[:, 1] + paths.along
+        along, corner = paths.stops[:, 1] + paths.along, paths.stops + paths.corner
         for number in self.image.patches[self.level :]:
             flat = self.obstacles.prepared.flats[number]
-            stops, beside, along = (mirrored(x, flat) for x in (stops, beside, along))
-        return replace(paths, stops=stops, aside=beside - stops, along=along - stops[:, 1])
+            stops, beside, along, corner = (
+                mirrored(x, flat) for x in (stops, beside, along, corner)
+            )
+        return replace(
+            paths,
+            stops=stops,
+            aside=beside - stops,
+            along=along - stops[:, 1],
+            corner=corner - stops,
+        )
 
     def near_any(self, active: NDArray[np.bool_], around_m: float = 0.0) -> list[int]:
         """Obstacles that may reach into the Fresnel ellipsoid of the path to any active point, or

@@ -3,7 +3,8 @@
 Around a place to which a path over an edge is known, the path to another place is the shortest one
 over the same edge's line, or over the same end of an edge; its knife-edge factor is that of its own
 phase, on its own side of the shadow's border. Over two parallel edges it is the double knife edge's
-(`double_bends`). Of paths over two edges askew, and over ends, the amplitude is taken as the same.
+(`double_bends`), over a sharp corner of two edges that of an end of each (`corner_bends`). Of paths
+over two edges askew, and over other ends, the amplitude is taken as the same.
 """
 
 from collections.abc import Sequence
@@ -14,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.corner_bends import CornerBends
 from twin.radar.propagation.diffraction.double_bends import DoubleBends
-from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
+from twin.radar.propagation.diffraction.knife_edge import as_one, knife_edge_factor
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
 from twin.radar.rows import dots, lengths
 
@@ -29,12 +31,11 @@ _PARALLEL = 0.999  # cosine of the angle between directions into the light of tw
 
 class Change(NamedTuple):
     """What a wave is from one place to another, (n,): by how much longer beside the straight wave,
-    by which factor stronger; and there the unit vector ``back`` (n, 3) along which it came.
+    and by which factor stronger.
     """
 
     longer_m: Array
     factor: Complex
-    back: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,10 @@ class Bends:
     lit
         Unit vectors into the light, (n, 3), of a path over one edge; else 0.
     aside
-        Into the light of both edges, (n, 2, 3), of a path over two parallel ones; else 0.
+        Into the light of both edges, (n, 2, 3), of a path over two parallel ones, or over a corner;
+        else 0.
+    corner
+        Unit vectors along both edges of a corner, (n, 2, 3); else 0.
     wavenumber
         rad/m.
     """
@@ -67,6 +71,7 @@ class Bends:
     along: Array
     lit: Array
     aside: Array
+    corner: Array
     wavenumber: float
 
     @staticmethod
@@ -74,7 +79,7 @@ class Bends:
         """Of straight paths from one place (3,)."""
         places, nothing = np.tile(source, (len(known), 1)), np.zeros((len(known), 3))
         neither = np.zeros((len(known), 2, 3))
-        return Bends(places, known, places, places, nothing, nothing, neither, wavenumber)
+        return Bends(places, known, places, places, nothing, nothing, neither, neither, wavenumber)
 
     @staticmethod
     def of(
@@ -87,20 +92,22 @@ class Bends:
         first, last = diffracted.stops.swapaxes(0, 1)
         is_twice = (first != last).any(axis=1)[:, None]
         is_edge = (diffracted.along != 0).any(axis=1)[:, None]
-        lit = np.cross(diffracted.along, last - source)
-        lit *= np.sign(dots(lit, diffracted.aside[:, 0]))[:, None]
-        lit /= np.maximum(lengths(lit), 1e-300)[:, None]
+        lit = np.where(is_twice, 0.0, diffracted.into_light(source))
         aside = diffracted.aside / np.linalg.norm(diffracted.aside, axis=2, keepdims=True)
         is_parallel = is_twice[:, 0] & (np.abs(dots(aside[:, 0], aside[:, 1])) > _PARALLEL)
         aside = np.where((is_parallel & is_edge[:, 0])[:, None, None], aside, 0.0)
+        across = np.cross(diffracted.corner, (last - source)[:, None])
+        across *= np.sign(np.sum(across * diffracted.aside, axis=2, keepdims=True))
+        across /= np.maximum(np.linalg.norm(across, axis=2, keepdims=True), 1e-300)
         count = len(known) - len(last)
         return replace(
             paths,
             begin=np.concatenate([paths.begin[:count], np.where(is_twice, first, source)]),
             stop=np.concatenate([paths.stop[:count], last]),
             along=np.concatenate([paths.along[:count], diffracted.along]),
-            lit=np.concatenate([paths.lit[:count], np.where(is_edge & ~is_twice, lit, 0.0)]),
-            aside=np.concatenate([paths.aside[:count], aside]),
+            lit=np.concatenate([paths.lit[:count], lit]),
+            aside=np.concatenate([paths.aside[:count], aside + across]),
+            corner=np.concatenate([paths.corner[:count], diffracted.corner]),
         )
 
     @staticmethod
@@ -118,22 +125,27 @@ class Bends:
         Across the border of a shadow the straight wave of the known place, or its absence, is kept:
         the wave over the edge goes on steadily and takes the step with it.
         """
-        towards = self.source[path] - places
-        straight = lengths(towards)
-        longer, back = np.zeros(len(path)), towards / np.maximum(straight, 1e-300)[:, None]
-        factor = np.ones(len(path), dtype=complex)
+        straight, k = lengths(self.source[path] - places), self.wavenumber
+        longer, factor = np.zeros(len(path)), np.ones(len(path), dtype=complex)
         bent = np.flatnonzero(self._is_bent[path])
-        longer[bent], back[bent] = self._over(path[bent], places[bent], straight[bent])
+        longer[bent] = self._over(path[bent], places[bent], straight[bent])
         one = np.flatnonzero(self._is_single[path])
-        number, q = path[one], self.wavenumber * longer[one]
-        is_lit = dots(self.lit[number], towards[one]) < 0
-        wave = knife_edge_factor(q)
-        steady = np.where(is_lit == self._known_lit[number], wave, np.exp(1j * q) - wave)
-        factor[one] = steady / self._known_factor[number]
-        two = np.flatnonzero(self._is_double[path])
-        if len(two):
-            factor[two] = self._doubles.factor(self._double_row[path[two]], places[two])
-        return Change(longer - self._known_longer_m[path], factor, back)
+        number, q = path[one], k * longer[one]
+        is_lit = dots(self.lit[number], places[one] - self.source[number]) > 0
+        is_steady = is_lit == self._known_lit[number]
+        waves = np.array([np.where(is_steady, 1, -1) * knife_edge_factor(q), ~is_steady])
+        wave, phase = as_one(waves, np.array([q, np.zeros(len(q))]))
+        longer[one], factor[one] = phase / k, wave / self._known_factor[number]
+        longer -= self._known_longer_m[path]
+        for some, number, bends in (
+            (self._is_double, self._double_row, self._doubles),
+            (self._is_corner, self._corner_row, self._corners),
+        ):
+            rows = np.flatnonzero(some[path])
+            if len(rows):
+                factor[rows], phase = bends.wave(number[path[rows]], places[rows])
+                longer[rows] = phase / k
+        return Change(longer, factor)
 
     @cached_property
     def _is_bent(self) -> Flags:
@@ -145,7 +157,23 @@ class Bends:
 
     @cached_property
     def _is_double(self) -> Flags:
-        return np.asarray(self.aside.any(axis=(1, 2)))
+        return np.asarray(self.aside.any(axis=(1, 2)) & ~self._is_corner)
+
+    @cached_property
+    def _is_corner(self) -> Flags:
+        return np.asarray(self.corner.any(axis=(1, 2)))
+
+    @cached_property
+    def _corner_row(self) -> Indices:
+        return np.cumsum(self._is_corner) - 1
+
+    @cached_property
+    def _corners(self) -> CornerBends:
+        some = np.flatnonzero(self._is_corner)
+        source, known, stop, edges, lit = (
+            x[some] for x in (self.source, self.known, self.stop, self.corner, self.aside)
+        )
+        return CornerBends(source, known, stop, edges, lit, self.wavenumber)
 
     @cached_property
     def _double_row(self) -> Indices:
@@ -169,7 +197,7 @@ class Bends:
         """What `to` says of the places to which paths are known."""
         straight = lengths(self.known - self.source)
         return np.where(
-            self._is_bent, self._over(np.arange(len(straight)), self.known, straight)[0], 0.0
+            self._is_bent, self._over(np.arange(len(straight)), self.known, straight), 0.0
         )
 
     @cached_property
@@ -180,17 +208,12 @@ class Bends:
     def _known_lit(self) -> Flags:
         return np.asarray(dots(self.lit, self.known - self.source) > 0)
 
-    def _over(self, path: Indices, places: Array, straight: Array) -> tuple[Array, Array]:
-        """By how much the shortest paths over the edges' lines are longer than straight ones, and
-        unit vectors from places to the edges.
-        """
+    def _over(self, path: Indices, places: Array, straight: Array) -> Array:
+        """By how much the shortest paths over the edges' lines are longer than straight ones."""
         begin, stop, along = (x[path] for x in (self.begin, self.stop, self.along))
         ends = (begin - stop, places - stop)
         at = [dots(end, along) for end in ends]
         off = [lengths(end - x[:, None] * along) for end, x in zip(ends, at, strict=True)]
-        share = off[0] / np.maximum(off[0] + off[1], 1e-300)
-        towards = stop + (at[0] + share * (at[1] - at[0]))[:, None] * along - places
-        distance = np.maximum(lengths(towards), 1e-300)
-        before = lengths(begin - self.source[path])
-        length = before + np.hypot(off[0] + off[1], at[1] - at[0])
-        return np.maximum(length - straight, 0), towards / distance[:, None]
+        length = lengths(begin - self.source[path])
+        length += np.hypot(off[0] + off[1], at[1] - at[0])
+        return np.maximum(length - straight, 0)

@@ -11,7 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.rims import farthest
-from twin.radar.propagation.diffraction.shadow_bounds import Cells, cells_of, knife_edge_bound
+from twin.radar.propagation.diffraction.shadow_bounds import (
+    Cells,
+    borders_of,
+    cells_of,
+    knife_edge_bound,
+)
 from twin.radar.propagation.diffraction.shadowed_facets import (
     Facets,
     front_facets,
@@ -23,6 +28,7 @@ from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 Gain = Callable[[Array], Array]
 
 COARSE_M = 0.1  # facets that an estimate is made for before they are divided as finely as needed
@@ -33,7 +39,8 @@ _NEAR_BORDER, _AWAY = 0.4, 1.0
 _BORDER = 1.0  # root of q that is near, at that tolerance
 #: Facets at most, over their cell; and where a border, or several of them, may divide them.
 _OF_A_CELL, _OF_A_BORDER = 0.5, 0.33
-#: Difference of lengths there and back across a facet: 0.6 rad at the ends of a band of 4 GHz.
+#: Difference of lengths there and back across a facet: 0.6 rad beside the middle at the ends of a
+#: band of 4 GHz.
 _MOST_M = 0.03
 
 
@@ -109,19 +116,30 @@ def finer(
 
 def in_small_parts(one: Candidates, fineness: float) -> Facets:
     """Facets across each of which waves are the same but for a linear phase, all over the band, cut
-    along the border of the nearest edge's shadow where it is within their cell.
+    along the borders of shadows within their cell.
     """
-    nearest = np.array([cells.nearest for cells in one.cells])
-    view, row = nearest.argmin(axis=0), np.arange(nearest.shape[1])
-    across = np.array([cells.across for cells in one.cells])[view, row]
-    place = np.array([view.place for view in one.views.each])[view]
-    is_border = nearest[view, row] == 0
-    normal, cell = np.where(is_border[:, None], across, 0.0), one.facets.cell
-    size = np.where(is_border, _OF_A_BORDER, _OF_A_CELL)
+    facets, has_border = one.facets, np.zeros(len(one.change), dtype=bool)
+    for view in one.views.each:
+        cell, normal = borders_of(view, one.facets, one.body)
+        has_border[cell] = True
+        facets = _cut(facets, view.place, cell, normal)
+    size = np.where(has_border, _OF_A_BORDER, _OF_A_CELL)
     size *= np.minimum(_sizes(one.cells, _NEAR_BORDER, fineness), COARSE_M)
-    facets = one.facets.cut(place[cell], normal[cell])
     steep = facets.steepness(one.views.one.place) + facets.steepness(one.views.other.place)
     return facets.divided(np.minimum(size[facets.cell], _MOST_M / np.maximum(steep, 1e-9)))
+
+
+def _cut(facets: Facets, place: Array, cell: Indices, normal: Array) -> Facets:
+    """Facets cut at planes through one place, those of each ``cell`` at its own ones, (n, ...)."""
+    number = np.arange(len(cell)) - np.searchsorted(cell, cell)
+    for n in range(int(number.max(initial=-1)) + 1):
+        is_now = number == n
+        plane = np.full(int(facets.cell.max()) + 1, -1)
+        plane[cell[is_now]] = np.flatnonzero(is_now)
+        has_plane = plane[facets.cell] >= 0
+        some, rest = facets.take(has_plane), facets.take(~has_plane)
+        facets = Facets.concatenate([rest, some.cut(place, normal[plane[some.cell]])])
+    return facets
 
 
 def strength(views: TwoViews, facets: Facets, gain: Gain) -> Array:

@@ -12,8 +12,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
-from twin.radar.rows import dots, lengths, phasors
+from twin.radar.propagation.diffraction.knife_edge import (
+    as_one,
+    double_knife_edge,
+    knife_edge_factor,
+)
+from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -50,21 +54,22 @@ class DoubleBends:
     aside: Array
     wavenumber: float
 
-    def factor(self, path: Indices, places: Array) -> Complex:
-        """Of the waves by some paths (m,), by number, at places (m, 3), over what they are where
-        they are known.
+    def wave(self, path: Indices, places: Array) -> tuple[Complex, Array]:
+        """Factors of the waves by some paths (m,), by number, at places (m, 3), over what they are
+        where they are known; and by which phases they are longer than there, beside straight ones.
         """
         here, known = self._parts(path, places), self._known
         lit, alone = known.is_lit[path], known.alone[path]
-        wave = knife_edge_factor(here.q)
-        steady = np.where(here.is_lit == lit, wave, phasors(here.q) - wave)
-        change = np.where(here.alone, _sign(here.is_lit), 0) * wave
-        change -= np.where(alone, _sign(lit), 0) * steady
-        both = here.both + np.sum(change * phasors(here.q_both[:, None] - here.q), axis=1)
-        step = here.is_lit.all(axis=1) * 1.0 - lit.all(axis=1)
-        both += step * phasors(here.q_both)
-        factor: Complex = both / known.both[path]
-        return factor
+        over_edges = np.where(here.alone, _sign(here.is_lit), 0) * knife_edge_factor(here.q)
+        is_steady = here.is_lit == lit
+        over_edges -= np.where(alone, _sign(here.is_lit), 0) * knife_edge_factor(here.q)
+        straight = here.is_lit.all(axis=1) * 1.0 - lit.all(axis=1)
+        straight -= np.sum(np.where(alone & ~is_steady, _sign(lit), 0), axis=1)
+        wave, longer = as_one(
+            np.array([here.both, *over_edges.T, straight]),
+            np.array([here.q_both, *here.q.T, np.zeros(len(path))]),
+        )
+        return wave / known.both[path], longer - known.q_both[path]
 
     @cached_property
     def _known(self) -> _Parts:

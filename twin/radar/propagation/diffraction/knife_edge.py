@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import wofz
 
+from twin.radar.rows import phasors
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -30,6 +32,15 @@ def knife_edge_factor(q: Array) -> Complex:
     """
     value: Complex = 0.5 * wofz(np.exp(0.75j * np.pi) * np.sqrt(q))
     return value
+
+
+def as_one(waves: Complex, q: Array) -> tuple[Complex, Array]:
+    """Several waves (m, n), whose paths are longer by phases ``q``, as one: amplitude, and the
+    phase of the strongest, (n,).
+    """
+    strongest = np.abs(waves).argmax(axis=0)
+    longer = np.take_along_axis(q, strongest[None], axis=0)[0]
+    return np.sum(waves * phasors(longer - q), axis=0), longer
 
 
 def missing_edge_factor(q: Array, p: Array) -> Complex:

@@ -20,6 +20,7 @@ Indices = NDArray[np.int64]
 
 _NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an edge's end is left out
 _OF_TWO = 0.3  # likewise, where nothing but ends is looked for
+_STRAIGHT = 0.985  # cosine: 10 deg, from which on a corner is sharp
 _FAR = 3.0  # rad: of a path over an edge's end over the edge's own one
 #: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it.
 BESIDE = 0.05
@@ -40,6 +41,8 @@ class DiffractedPaths:
         Offset from these into the light, where rays test whether the path is clear.
     along : (n, 3)
         Unit vector along the edge; 0 for a path over an edge's end.
+    corner : (n, 2, 3)
+        Of a path over a sharp corner of two edges, unit vectors along both from there; else 0.
     amplitude : (n,)
         Over that of the direct wave, without the phase of the longer path.
     longer_m : (n,)
@@ -55,6 +58,7 @@ class DiffractedPaths:
     stops: Array
     aside: Array
     along: Array
+    corner: Array
     amplitude: NDArray[np.complex128]
     longer_m: Array
     lit_m: Array
@@ -62,6 +66,13 @@ class DiffractedPaths:
     def take(self, which: NDArray[Any]) -> "DiffractedPaths":
         """Only some of them, by index or mask."""
         return DiffractedPaths(*(getattr(self, f.name)[which] for f in fields(DiffractedPaths)))
+
+    def into_light(self, source: Array) -> Array:
+        """Unit vectors (n, 3) across edges and the paths to them, into the light; 0 at ends."""
+        across = np.cross(self.along, self.stops[:, 0] - source)
+        across *= np.sign(dots(across, self.aside[:, 0]))[:, None]
+        unit: Array = across / np.maximum(lengths(across), 1e-300)[:, None]
+        return unit
 
     @staticmethod
     def concatenate(parts: Sequence["DiffractedPaths"]) -> "DiffractedPaths":
@@ -242,7 +253,10 @@ def _end_paths(pairs: _Pairs, end: int, faintest: float, far: float) -> Diffract
     none, unlit_m = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
     aside = _beside_m(pairs, place)[:, None] * rim.aside[pairs.edge, end]
     paths = _paths_by(pairs, place, pairs.q + p, none, aside, turn * factor, unlit_m)
-    return replace(paths, item=rim.corner[pairs.edge, end])
+    both = np.stack([(1 - 2 * end) * _along(rim)[0], rim.onwards[:, end]], axis=1)[pairs.edge]
+    is_sharp = both[:, 1].any(axis=1) & (dots(both[:, 0], both[:, 1]) > -_STRAIGHT)
+    corner = np.where(is_sharp[:, None, None], both, 0.0)
+    return replace(paths, item=rim.corner[pairs.edge, end], corner=corner)
 
 
 def _paths_by(
@@ -262,6 +276,7 @@ def _paths_by(
         stops=np.repeat(place[:, None], 2, axis=1),
         aside=np.repeat(aside[:, None], 2, axis=1),
         along=along,
+        corner=np.zeros((len(place), 2, 3)),
         amplitude=amplitude,
         longer_m=radians / pairs.wavenumber,
         lit_m=lit_m,
@@ -287,14 +302,15 @@ def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:
     return replace(ends.take(one), amplitude=amplitude, item=none)
 
 
-def merged(paths: DiffractedPaths, wavenumber: float) -> DiffractedPaths:
-    """Paths to a point of nearly the same length and place as one: a curved outline has
-    hundreds.
+def merged(paths: DiffractedPaths, source: Array, wavenumber: float) -> DiffractedPaths:
+    """Paths to a point of nearly the same length and place, and with the light on the same side, as
+    one: a curved outline has hundreds. Those over ends of edges stay apart from these.
     """
     length = np.floor(paths.longer_m / _MERGED_LENGTH_M).astype(np.int64)
     place = np.floor(paths.stops[:, 0] / _MERGED_PLACE_M).astype(np.int64)
     is_twice = (paths.stops[:, 0] != paths.stops[:, 1]).any(axis=1).astype(np.int64)
-    same = alike([paths.point, length, *place.T, is_twice])
+    side = np.rint(paths.into_light(source)).astype(np.int64)
+    same = alike([paths.point, length, *place.T, is_twice, *side.T])
     order = np.lexsort((-np.abs(paths.amplitude), same))
     one = order[np.unique(same[order], return_index=True)[1]]
     turn = np.exp(-1j * wavenumber * (paths.longer_m - paths.longer_m[one][same]))

@@ -10,6 +10,7 @@ Bodies are divided into cells, for which the edges are looked for; within a cell
 cell's size.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -57,31 +58,59 @@ def knife_edge_bound(root_q: Array) -> Array:
 
 def cells_of(view: View, facets: Facets, body: int) -> Cells:
     """The cells that a body's facets are in, as a view's waves reach them."""
-    middle, cell = facets.middle, facets.cell
-    size = np.bincount(cell)
-    count = len(size)
-    center = np.stack([np.bincount(cell, row) / size for row in middle.T], axis=1)
-    radius = np.zeros(count)
-    reach = np.linalg.norm(facets.corners - center[cell][:, None], axis=2).max(axis=1)
-    np.maximum.at(radius, cell, reach)
-    direct, k = center - view.place, view.obstacles.wavenumber
+    direct, radius = _spheres(view, facets)
+    k, count = view.obstacles.wavenumber, len(radius)
     level, nearest = np.zeros(count), np.full(count, np.inf)
     steepest, aside = np.zeros(count), np.zeros(count)
     across = np.zeros((count, 3))
     deepest = np.sqrt(farthest(view.obstacles.faintest))
+    for rim, some in _rims(view, body, direct, radius):
+        found = _beside(rim, direct[some], radius[some], k)
+        near = found[1] <= deepest
+        level[some] += np.where(near, found[0], 0.0)
+        is_nearer = near & (found[1] < nearest[some])
+        across[some[is_nearer]] = rim.lit[found[4][is_nearer]]
+        nearest[some] = np.minimum(nearest[some], np.where(near, found[1], np.inf))
+        steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
+        aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
+    return Cells(level, nearest, steepest, aside, across)
+
+
+def borders_of(view: View, facets: Facets, body: int) -> tuple[Indices, Array]:
+    """Borders of shadows within the cells that a body's facets are in: of each the number of its
+    cell, in ascending order, and the unit normal (n, 3) of its plane, which a view's place is in.
+    """
+    direct, radius = _spheres(view, facets)
+    cells, normals = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+    for rim, some in _rims(view, body, direct, radius):
+        root_q = _phases(rim, direct[some], radius[some], view.obstacles.wavenumber)[0]
+        cell, edge = np.nonzero(root_q == 0)
+        cells.append(some[cell])
+        normals.append(rim.lit[edge])
+    cell = np.concatenate(cells)
+    order = np.argsort(cell, kind="stable")
+    return cell[order], np.concatenate(normals)[order]
+
+
+def _spheres(view: View, facets: Facets) -> tuple[Array, Array]:
+    """Around cells of facets: vectors (n_cells, 3) from a view to their centers, and radii."""
+    middle, cell = facets.middle, facets.cell
+    size = np.bincount(cell)
+    center = np.stack([np.bincount(cell, row) / size for row in middle.T], axis=1)
+    radius = np.zeros(len(size))
+    reach = np.linalg.norm(facets.corners - center[cell][:, None], axis=2).max(axis=1)
+    np.maximum.at(radius, cell, reach)
+    return center - view.place, radius
+
+
+def _rims(
+    view: View, body: int, direct: Array, radius: Array
+) -> Iterator[tuple[Outline, NDArray[np.intp]]]:
+    """As `View.rims`, for some of the cells at a time."""
     for rim, rows in view.rims(body, direct, radius):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
         for first in range(0, len(rows) if len(rim.ends) else 0, step):
-            some = rows[first : first + step]
-            found = _beside(rim, direct[some], radius[some], k)
-            near = found[1] <= deepest
-            level[some] += np.where(near, found[0], 0.0)
-            is_nearer = near & (found[1] < nearest[some])
-            across[some[is_nearer]] = rim.lit[found[4][is_nearer]]
-            nearest[some] = np.minimum(nearest[some], np.where(near, found[1], np.inf))
-            steepest[some] = np.maximum(steepest[some], np.where(near, found[2], 0.0))
-            aside[some] = np.maximum(aside[some], np.where(near, found[3], 0.0))
-    return Cells(level, nearest, steepest, aside, across)
+            yield rim, rows[first : first + step]
 
 
 def level_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:

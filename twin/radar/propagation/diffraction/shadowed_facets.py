@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import NOTHING
 from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.triangle_means import mean_phasors
 from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.facets.uniform_subdivision import longest_edges
 from twin.radar.propagation.one_way.path import offset_m
@@ -22,7 +23,6 @@ _THIN = 8.0  # square of the longest edge over the area, of one that is four tim
 _ON_PLANE_M = 1e-9  # from a plane: a corner is on it
 _SLIVER = 1e-9  # area over the square of the longest edge, down to which parts are none
 _LOOKED_AT = 512  # facets of a body, about, where some are enough
-FLAT_RAD = 2e-2  # phase across a triangle, below which its square is enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +75,9 @@ class Facets:
         """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
         rad/m.
         """
-        length_m = np.einsum("nci,ni->nc", self.corners - self.middle[:, None], slope)
-        return _mean(*np.sort(length_m, axis=1).T)
+        phase = np.einsum("nci,ni->cn", self.corners - self.middle[:, None], slope)
+        phase.sort(axis=0)
+        return mean_phasors(phase)
 
     def take(self, which: Any) -> "Facets":
         """Only some of them, by index or mask."""
@@ -122,8 +123,8 @@ class Facets:
         return Facets(each, np.repeat(self.object, n_parts), np.repeat(self.cell, n_parts))
 
     def cut(self, place: Array, normal: Array) -> "Facets":
-        """Cut at planes through places (n, 3), with normals (n, 3)."""
-        height = np.einsum("nci,ni->nc", self.corners - place[:, None], normal)
+        """Cut at planes through one place (3,), with normals (n, 3)."""
+        height = np.einsum("nci,ni->nc", self.corners - place, normal)
         height[np.abs(height) < _ON_PLANE_M] = 0.0
         is_cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
         some, height = self.take(is_cut), height[is_cut]
@@ -146,19 +147,6 @@ class Facets:
         """One after the other."""
         columns = zip(*((p.corners, p.object, p.cell) for p in parts), strict=True)
         return Facets(*(np.concatenate(column) for column in columns))
-
-
-def _mean(a: Array, b: Array, c: Array) -> Complex:
-    """Mean of exp(j phase) over triangles with these phases at the corners, the least first."""
-    is_flat = c - a <= FLAT_RAD
-    mean: Complex = 2 * (_along(b, c) - _along(a, b)) / (1j * np.where(is_flat, 1.0, c - a))
-    return np.where(is_flat, 1 - (a**2 + b**2 + c**2) / 24, mean)
-
-
-def _along(x: Array, y: Array) -> Complex:
-    """Mean of exp(j phase) along edges from phase x to phase y."""
-    value: Complex = np.exp(0.5j * (x + y)) * np.sinc((y - x) / (2 * np.pi))
-    return value
 
 
 def front_facets(obstacles: Screens, body: int, *places: Array) -> Facets:

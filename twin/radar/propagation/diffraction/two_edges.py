@@ -44,12 +44,6 @@ def consecutive_edges(
     return i[rows][first], j[rows][first]
 
 
-def into_light(paths: DiffractedPaths, source: Array) -> Array:
-    """Unit vectors (n, 3) across edges and the paths to them, into the light."""
-    across = np.cross(paths.along, paths.stops[:, 0] - source)
-    return _unit(across * np.sign(np.sum(across * paths.aside[:, 0], axis=1))[:, None])
-
-
 def double_edge_paths(
     source: Array,
     places: Array,

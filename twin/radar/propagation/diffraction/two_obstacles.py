@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.rims import DiffractedPaths, matching_pairs
-from twin.radar.propagation.diffraction.two_edges import double_edge_paths, into_light
+from twin.radar.propagation.diffraction.two_edges import double_edge_paths
+from twin.radar.rows import dots
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -69,7 +70,7 @@ def over_two_obstacles(
     """
     near, far = (paths.take(column) for column in pairs.T)
     seen = places[near.point]
-    cosine = np.sum(into_light(near, source) * into_light(far, source), axis=1)
+    cosine = dots(near.into_light(source), far.into_light(source))
     cosine = np.clip(cosine, -_PARALLEL, _PARALLEL)
     both, _, alone = double_edge_paths(source, seen, near, far, wavenumber, cosine, faintest)
     both = replace(both, along=far.along)  # where the wave bends last

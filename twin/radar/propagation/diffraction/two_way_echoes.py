@@ -1,8 +1,9 @@
 """Echoes of facets by two paths each, one there and one back, of the paths to their cells.
 
-A cell with p paths has p (p + 1) / 2 pairs of them, so that what a path is at a facet is computed
-once for each path: how much longer it is, its factor, and phasors of its lengths to the corners,
-which multiply for two paths.
+Across a facet the length and the amplitude of a wave are linear between the corners: facets that
+share corners go on without a step, which would echo by itself. A cell with p paths has
+p (p + 1) / 2 pairs of them, so that what a path is at a corner is computed once for each path;
+phasors and amplitudes of two paths multiply.
 """
 
 from dataclasses import dataclass, replace
@@ -13,24 +14,21 @@ from numpy.typing import NDArray
 from twin.radar.propagation.diffraction.bends import Bends
 from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.diffraction.shadowed_facets import FLAT_RAD, Facets
+from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.diffraction.triangle_means import mean_waves
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.rows import dots, lengths, phasors
+from twin.radar.rows import alike, lengths, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_BIN_M = 7.5e-3  # between lengths of contributions: 0.3 rad at the ends of a band of 4 GHz
-_STEP = 20.0  # rad/m: half of what the wavenumber changes by to the ends of that band
+_BIN_M = 0.01  # between lengths of contributions: 0.4 rad at the ends of a band of 4 GHz
+#: Change of the wavenumber in rad/m to the outer two of that band's three Chebyshev nodes.
+_STEP = 36.0
 _AT_ONCE = 2**16  # facets and pairs of paths: 50 MB
-_SHORT_RAD = 1e-3  # half the phase along an edge, below which its square is enough
-#: Corners in the order of their values x, y, z, by the number x > y, plus 2 where x > z, plus 4
-#: where y > z; 2 and 5 do not occur.
-_ORDER = np.array(
-    [[0, 1, 2], [1, 0, 2], [0, 1, 2], [1, 2, 0], [0, 2, 1], [2, 1, 0], [2, 0, 1], [2, 1, 0]]
-)
+_ALIKE_M = 1e-8  # corners of facets that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,40 +49,52 @@ class Ways:
 
 
 @dataclass(frozen=True, eq=False)
+class _Corners:
+    """Corners of facets, those of one place in a cell as one, by cells: places (m, 3), the ``cell``
+    (m,) of each, and their numbers in it of the facets' corners, (3, n).
+    """
+
+    place: Array
+    cell: Indices
+    of_facet: Indices
+
+    @staticmethod
+    def of(facets: Facets) -> "_Corners":
+        place, cell = facets.corners.reshape(-1, 3), np.repeat(facets.cell, 3)
+        grid = np.rint(place / _ALIKE_M).astype(np.int64)
+        number = alike([cell, *grid.T])
+        one = np.unique(number, return_index=True)[1]
+        first = np.searchsorted(cell[one], cell)
+        return _Corners(place[one], cell[one], (number - first).reshape(-1, 3).T)
+
+
+@dataclass(frozen=True, eq=False)
 class _Legs:
-    """Paths at facets, path by path, (n, ...): by how much each is longer than the straight path
-    to the place where it is known; its factor over that there; path lengths from the centroid to
-    the corners, (3, n), phasors of half of these at the carrier, and by how much these turn over
-    `_STEP`; and the phasor of what is longer. ``first``: row of each path's first facet.
+    """Paths at corners of facets, path by path, (n,): by how much each is longer than the straight
+    path to the place where it is known; its factor over that there; and phasors of that length, at
+    the carrier and for `_STEP`. ``first``: row of each path's first corner.
     """
 
     first: Indices
     longer_m: Array
     factor: Complex
-    corners_m: Array
-    half: Complex
-    half_step: Complex
-    turn: Complex
+    phasor: Complex
+    step: Complex
 
     @staticmethod
-    def of(obstacles: Screens, facets: Facets, ways: Ways, paths: Indices) -> "_Legs":
-        """Of some paths, by number, at all facets of their cells."""
-        row, facet = matching_pairs(ways.cell[paths], facets.cell)
-        k, some = obstacles.wavenumber, facets.take(facet)
-        middle = some.middle
-        change = ways.bends.to(paths[row], middle)
-        straight = lengths(middle - ways.bends.source[paths[row]])
-        longer_m = straight - ways.paths.length[paths[row]] + change.longer_m
-        corners = some.corners - middle[:, None]
-        corners_m = np.stack([dots(corners[:, i], change.back) for i in range(3)])
+    def of(obstacles: Screens, corners: _Corners, ways: Ways, paths: Indices) -> "_Legs":
+        """Of some paths, by number, at all corners of their cells."""
+        row, corner = matching_pairs(ways.cell[paths], corners.cell)
+        k, place, path = obstacles.wavenumber, corners.place[corner], paths[row]
+        change = ways.bends.to(path, place)
+        straight = lengths(place - ways.bends.source[path])
+        longer_m = straight - ways.paths.length[path] + change.longer_m
         return _Legs(
             np.searchsorted(row, np.arange(len(paths))),
             longer_m,
             change.factor,
-            corners_m,
-            phasors(k * corners_m / 2),
-            phasors(_STEP * corners_m / 2),
             phasors(-(k * longer_m % (2 * np.pi))),
+            phasors(-_STEP * longer_m),
         )
 
 
@@ -99,6 +109,7 @@ def summed(
     some = np.flatnonzero(current)
     some = some[np.lexsort((facets.object[some], facets.cell[some]))]
     facets, current = facets.take(some), current[some]
+    corners = _Corners.of(facets)
     rows = np.argsort(ways.cell[ways.one], kind="stable")
     count = int(ways.cell.max(initial=-1)) + 1
     size = np.bincount(facets.cell, minlength=count)[ways.cell[ways.one[rows]]]
@@ -107,7 +118,7 @@ def summed(
     portions = np.split(rows, first[1:]) if len(rows) else []
     parts = []
     for portion in portions:
-        found, total[portion] = _of_ways(obstacles, facets, current, ways, portion)
+        found, total[portion] = _of_ways(obstacles, facets, corners, current, ways, portion)
         parts.append(found)
     return Contributions.concatenate(parts), total
 
@@ -115,6 +126,7 @@ def summed(
 def _of_ways(
     obstacles: Screens,
     facets: Facets,
+    corners: _Corners,
     current: Complex,
     ways: Ways,
     rows: Indices,
@@ -124,30 +136,31 @@ def _of_ways(
     """
     both = np.stack([ways.one[rows], ways.other[rows]])
     paths, number = np.unique(both, return_inverse=True)
-    legs = _Legs.of(obstacles, facets, ways, paths)
+    legs = _Legs.of(obstacles, corners, ways, paths)
     way, facet = matching_pairs(ways.cell[both[0]], facets.cell)
-    size = np.bincount(way, minlength=len(rows))
-    within = np.arange(len(way)) - np.repeat(np.cumsum(size) - size, size)
-    p, q = (legs.first[ends][way] + within for ends in number.reshape(both.shape))
-    less, mean, more = _means(
-        legs.corners_m[:, p] + legs.corners_m[:, q],
-        legs.half[:, p] * legs.half[:, q],
-        legs.half_step[:, p] * legs.half_step[:, q],
-        obstacles.wavenumber,
+    p, q = (
+        legs.first[ends][way] + corners.of_facet[:, facet] for ends in number.reshape(both.shape)
     )
-    wave = current[facet] * ways.share[rows][way] * legs.factor[p] * legs.factor[q]
-    wave *= legs.turn[p] * legs.turn[q]
-    # Of lengths beside that of the middle, with their waves.
-    moment_m = wave * 1j * (more - less) / (2 * _STEP)
+    longer_m = legs.longer_m[p] + legs.longer_m[q]
+    means = mean_waves(
+        longer_m,
+        legs.factor[p] * legs.factor[q],
+        legs.phasor[p] * legs.phasor[q],
+        legs.step[p] * legs.step[q],
+        obstacles.wavenumber,
+        _STEP,
+    )
+    less, mean, more = current[facet] * ways.share[rows][way] * means
     total, pair, bins = _binned(
-        wave * mean,
-        moment_m,
-        legs.longer_m[p] + legs.longer_m[q],
+        less,
+        mean,
+        more,
+        longer_m.mean(axis=0),
         way * (int(facets.object.max()) + 1) + facets.object[facet],
         obstacles.wavenumber,
     )
     found = _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
-    return found, sums(way, wave * mean, len(rows)) * _spread(obstacles, ways, both)
+    return found, sums(way, mean, len(rows)) * _spread(obstacles, ways, both)
 
 
 def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:
@@ -183,77 +196,44 @@ def sums(owner: Indices, wave: Complex, count: int) -> Complex:
 
 
 def _binned(
-    wave: Complex, moment_m: Complex, longer_m: Array, group: Indices, wavenumber: float
+    less: Complex, mean: Complex, more: Complex, longer_m: Array, group: Indices, wavenumber: float
 ) -> tuple[Complex, Indices, Indices]:
     """Sums of waves (n,) of nearly one length and one ``group``, of which equal ones stand
-    together: each is divided between the two lengths beside its own one, so that it is right to
-    first order all over the band, also where facets next to each other nearly cancel.
+    together; of each wave at the carrier less `_STEP`, at the carrier, and as much above. It is
+    divided between the three lengths next to its own one so that it is right at all three, also
+    where facets next to each other nearly cancel.
 
     Returns the sums without the phases of their lengths, the first wave of each, and the number of
     its length.
     """
-    lower = np.floor(longer_m / _BIN_M).astype(np.int64)
-    share = longer_m / _BIN_M - lower
+    middle = np.rint(longer_m / _BIN_M).astype(np.int64)
+    lowest = int(middle.min()) - 1
+    steps = np.arange(int(np.ptp(middle)) + 3)
+    length_m = np.asarray(_BIN_M * (lowest + steps), np.float64)
+    turn = phasors(wavenumber * length_m % (2 * np.pi))
+    step = phasors(_STEP * length_m % (2 * np.pi))[middle - lowest]
+    parts = _at_lengths(less * step.conj(), mean, more * step)
     first = np.flatnonzero(np.diff(group, prepend=-1))
-    least = np.minimum.reduceat(lower, first)
-    span = np.maximum.reduceat(lower, first) - least + 2
+    least = np.minimum.reduceat(middle, first) - 1
+    span = np.maximum.reduceat(middle, first) - least + 2
     begin = np.cumsum(span) - span
-    number = lower + np.repeat(begin - least, np.diff(first, append=len(group)))
-    lowest = int(lower.min())
-    steps = np.arange(int(np.ptp(lower)) + 2)
-    turn = phasors(np.asarray(wavenumber * _BIN_M * (lowest + steps) % (2 * np.pi), np.float64))
+    number = middle + np.repeat(begin - least, np.diff(first, append=len(group)))
     count = int(span.sum())
     total, row = np.zeros(count, dtype=np.complex128), np.full(count, -1)
-    low = ((1 - share) * wave - moment_m / _BIN_M) * turn[lower - lowest]
-    high = (share * wave + moment_m / _BIN_M) * turn[lower - lowest + 1]
-    for at, part in ((number + 1, high), (number, low)):
-        total += sums(at, part, count)
+    for off, part in zip((-1, 0, 1), parts, strict=True):
+        at = number + off
+        total += sums(at, part * turn[middle + off - lowest], count)
         row[at[::-1]] = np.arange(len(at))[::-1]
     some = np.flatnonzero(row >= 0)
     which = np.searchsorted(begin, some, side="right") - 1
     return total[some], row[some], some - begin[which] + least[which]
 
 
-def _means(corners_m: Array, half: Complex, half_step: Complex, wavenumber: float) -> list[Complex]:
-    """Means over triangles (n,) of phasors of lengths given at the corners, (3, n), which are 0 at
-    the centroids: at the carrier less `_STEP`, at the carrier, and as much above; with half the
-    phasors at the corners, and those of half the step.
+def _at_lengths(less: Complex, mean: Complex, more: Complex) -> tuple[Complex, Complex, Complex]:
+    """Amplitudes at lengths of -`_BIN_M`, 0 and `_BIN_M`, whose sums are given waves at the carrier
+    less `_STEP`, at the carrier, and as much above.
     """
-    x, y, z = corners_m
-    code = (x > y) + 2 * (x > z) + 4 * (y > z)
-    order = _ORDER.T[:, code] * len(code) + np.arange(len(code))
-    corners_m, half, half_step = (
-        corners_m.ravel()[order],
-        half.ravel()[order],
-        half_step.ravel()[order],
-    )
-    return [
-        _mean(corners_m, half * half_step.conj(), wavenumber - _STEP),
-        _mean(corners_m, half, wavenumber),
-        _mean(corners_m, half * half_step, wavenumber + _STEP),
-    ]
-
-
-def _mean(corners_m: Array, half: Complex, wavenumber: float) -> Complex:
-    """As `shadowed_facets.Facets.mean`, of lengths in ascending order and half the phasors."""
-    span = wavenumber * (corners_m[2] - corners_m[0])
-    upper, lower = (
-        _along(half[i], half[i + 1], wavenumber * (corners_m[i + 1] - corners_m[i]) / 2)
-        for i in (1, 0)
-    )
-    is_flat = span <= FLAT_RAD
-    mean: Complex = 2 * (upper - lower) / (1j * np.where(is_flat, 1.0, span))
-    flat = np.flatnonzero(is_flat)
-    mean[flat] = 1 - wavenumber**2 * np.sum(corners_m[:, flat] ** 2, axis=0) / 24
-    return mean
-
-
-def _along(near: Complex, far: Complex, half_rad: Array) -> Complex:
-    """Mean of the phasor along edges, given the half phasors at their ends and half the phase
-    between these.
-    """
-    is_short = half_rad < _SHORT_RAD
-    sine = far.imag * near.real - far.real * near.imag
-    sinc = np.where(is_short, 1 - half_rad**2 / 6, sine / np.where(is_short, 1.0, half_rad))
-    value: Complex = near * far * sinc
-    return value
+    cosine, sine = np.cos(_STEP * _BIN_M), np.sin(_STEP * _BIN_M)
+    both = (mean - (more + less) / 2) / (1 - cosine)
+    difference = 1j * (more - less) / (2 * sine)
+    return (both - difference) / 2, mean - both, (both + difference) / 2

@@ -125,7 +125,8 @@ class View:
         if not self.image.patches:
             return rim
         rim, turn = between_mirrors(self.obstacles, self.image, leg, rim), self.turns[leg].T
-        return replace(rim, ends=rim.ends @ turn, lit=rim.lit @ turn, aside=rim.aside @ turn)
+        turned = {name: getattr(rim, name) @ turn for name in ("ends", "lit", "aside", "onwards")}
+        return replace(rim, **turned)
 
 
 class TwoViews(NamedTuple):

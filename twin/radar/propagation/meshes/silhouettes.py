@@ -23,8 +23,9 @@ class Outline:
     ``ends`` (m, 2, 3) are relative to that point; ``edge`` (m,) and ``corner`` (m, 2) number edges
     and their ends, the same from everywhere; ``lit`` (m, 3) is the unit vector across the edge and
     the line of sight, away from the object, and ``aside`` (m, 2, 3) that into the light at its
-    ends, between it and the edges that go on from there; ``room_m`` (m,): how far aside of an edge
-    nothing else of the object is, inf where it is not known.
+    ends, between it and the edges that go on from there; ``onwards`` (m, 2, 3) those from its ends
+    along the edge that goes on, 0 where several do, or none; ``room_m`` (m,): how far aside of an
+    edge nothing else of the object is, inf where it is not known.
     """
 
     ends: Array
@@ -32,17 +33,24 @@ class Outline:
     corner: Indices
     lit: Array
     aside: Array
+    onwards: Array
     room_m: Array
 
     @staticmethod
     def of(ends: Array, edge: Indices, corner: Indices, lit: Array) -> "Outline":
         """Of all edges of an outline."""
-        _, number = np.unique(corner, return_inverse=True)
+        _, number, count = np.unique(corner, return_inverse=True, return_counts=True)
         number = number.reshape(corner.shape)
-        sums = np.zeros((int(number.max(initial=-1)) + 1, 3))
-        np.add.at(sums, number, lit[:, None])
-        sums /= np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
-        return Outline(ends, edge, corner, lit, sums[number], np.full(len(edge), np.inf))
+        along = ends[:, 1] - ends[:, 0]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+        inwards = np.stack([along, -along], axis=1)
+        light, both = np.zeros((2, len(count), 3))
+        np.add.at(light, number, lit[:, None])
+        np.add.at(both, number, inwards)
+        light /= np.maximum(np.linalg.norm(light, axis=1, keepdims=True), 1e-300)
+        onwards = np.where((count == 2)[number][..., None], both[number] - inwards, 0.0)
+        room_m = np.full(len(edge), np.inf)
+        return Outline(ends, edge, corner, lit, light[number], onwards, room_m)
 
     def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
