@@ -48,7 +48,7 @@ def cell_echoes(
     facets, is_lit = shown_facets(views, facets, body)
     if not len(facets):
         return Contributions.none(), 0.0
-    row = middle_facets(facets)
+    row = middle_facets(facets, views.one.place)
     place, normal = facets.middle[row], facets.normal(views.one.place)[row]
     off = offset_m(place) * normal
     straight = [view.straight(place, off) for view in views.each]
@@ -84,13 +84,17 @@ def _of_paths(ways: Ways, over_edges: Complex, beyond: Complex) -> Complex:
     return found
 
 
-def middle_facets(facets: Facets) -> Indices:
-    """The facet in the middle of each cell, (n_cells,)."""
-    middle, cell = facets.middle, facets.cell
-    weight = lengths(facets.across)
-    total = np.bincount(cell, weight)
+def middle_facets(facets: Facets, place: Array) -> Indices:
+    """The facet in the middle of each cell as seen from a place, (n_cells,): not one that is far
+    from square to the way, which the body may hide from waves that the others are reached by.
+    """
+    middle, cell, towards = facets.middle, facets.cell, place - facets.middle
+    weight = np.abs(dots(facets.across, towards)) / lengths(towards)
+    total = np.maximum(np.bincount(cell, weight), 1e-300)
     center = np.stack([np.bincount(cell, weight * x) / total for x in middle.T], axis=1)
-    order = np.lexsort((lengths(middle - center[cell]), cell))
+    facing = weight / lengths(facets.across)
+    off = lengths(middle - center[cell]) / np.maximum(facing, 1e-3)
+    order = np.lexsort((off, cell))
     return order[np.unique(cell[order], return_index=True)[1]]
 
 

@@ -84,7 +84,7 @@ def _by_side(
     size = max(_SMALL_M, float(np.sqrt(area_m2 / (_OF_SQUARE * _MOST))))
     near = near.divided(np.full(len(near), size))
     near = in_voxels(near, np.full(int(near.cell.max()) + 1, _CELL_M))
-    row = middle_facets(near)
+    row = middle_facets(near, source)
     place, off = near.middle[row], (offset_m(near.middle) * near.normal(source))[row]
     straight = paths_to_points(obstacles.prepared.context, 0, place, off, unshadowed=True)
     every = np.arange(len(place))
