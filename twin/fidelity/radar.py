@@ -79,7 +79,8 @@ class RadarFidelity(Knobs):
     radar_tolerance
         Of physical optics, 0.001 to 1. Estimated error of the echo of every body over the band,
         relative to its root mean square, or to an echo 40 dB below the strongest body's, or to a
-        tenth of the receiver's noise, whichever is larger: triangles are divided until their
+        tenth of the receiver's noise over the tolerance (the noise itself at 0.1), whichever is
+        larger (``level_amplitude`` of `Propagation.bodies`): triangles are divided until their
         estimated errors, added as independent, stay below it at each stage, or to a deepest
         division. What all stages come to is told of every body (`Propagation.bodies`, the report),
         times three: 95 of 100 bodies' errors are within that (`python -m benchmarks

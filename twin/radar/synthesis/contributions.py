@@ -50,7 +50,8 @@ class Contributions(Described):
     object, first : (n,)
         Numbers of the last object on the path, and of the first facet.
     bounces : (n,)
-        Reflections at bodies' surfaces, where these are echoes of facets.
+        Reflections at bodies' surfaces, where these are echoes of facets; 0 of edges and of waves
+        round obstacles.
     source, receiver : (n,)
         Numbers of the images of the forward and of the return path.
 
