@@ -169,7 +169,7 @@ def test_a_wave_over_two_edges_goes_on_as_the_field_behind_both() -> None:
     stops = np.array([[1.5, -0.03, 0.0], [2.3, -0.03, 0.0]])
     known, y = np.array([[4.5, -0.08, 0.0]]), np.linspace(-0.12, 0.05, 35)
     up, aside = np.array([[0, 0, 1.0]]), np.array([[[0, 1.0, 0], [0, 1.0, 0]]])
-    bends = DoubleBends(np.zeros((1, 3)), known, stops[None], up, aside, K)
+    bends = DoubleBends(np.zeros((1, 3)), known, K, stops[None], up, aside)
     places = np.stack([np.full_like(y, 4.5), y, 0 * y], axis=1)
 
     def longer(at: Array, *over: Array) -> Array:

@@ -173,7 +173,7 @@ class Bends:
         source, known, stop, edges, lit = (
             x[some] for x in (self.source, self.known, self.stop, self.corner, self.aside)
         )
-        return CornerBends(source, known, stop, edges, lit, self.wavenumber)
+        return CornerBends(source, known, self.wavenumber, stop, edges, lit)
 
     @cached_property
     def _double_row(self) -> Indices:
@@ -183,14 +183,10 @@ class Bends:
     def _doubles(self) -> DoubleBends:
         some = np.flatnonzero(self._is_double)
         stops = np.stack([self.begin[some], self.stop[some]], axis=1)
-        return DoubleBends(
-            self.source[some],
-            self.known[some],
-            stops,
-            self.along[some],
-            self.aside[some],
-            self.wavenumber,
+        source, known, along, aside = (
+            x[some] for x in (self.source, self.known, self.along, self.aside)
         )
+        return DoubleBends(source, known, self.wavenumber, stops, along, aside)
 
     @cached_property
     def _known_longer_m(self) -> Array:

@@ -115,8 +115,8 @@ def finer(
 
 
 def in_small_parts(one: Candidates, fineness: float) -> Facets:
-    """Facets across each of which waves are the same but for a linear phase, all over the band, cut
-    along the borders of shadows within their cell.
+    """Facets across each of which lengths and amplitudes of waves are about linear, all over the
+    band, cut along the borders of shadows within their cell.
     """
     facets, has_border = one.facets, np.zeros(len(one.change), dtype=bool)
     for view in one.views.each:
