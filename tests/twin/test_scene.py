@@ -567,3 +567,10 @@ def test_unlike_surfaces_in_one_plane_are_named(tmp_path: Path) -> None:
     assert told(dark, ("rectangle", "same", 5.0, 0.2)) == ""
     assert told(dark, ("cube", "box", 4.0, 0.8)) == ""  # its back
     assert "box" in told(dark, ("cube", "box", 6.0, 0.8))  # its front
+
+
+def test_a_scene_given_by_its_settings_is_refused_with_its_folder(tmp_path) -> None:
+    """It had been read as XML, which it is not."""
+    (tmp_path / "scene.toml").write_text(TOML)
+    with pytest.raises(InputError, match=r"scene.toml: holds the settings.* `twin run .*` runs it"):
+        load_scene(tmp_path / "scene.toml")

@@ -145,6 +145,11 @@ def scene_file(scene: str | Path) -> Path:
                 f"{path}: is a model, expected a scene: `twin import {path} scenes/{path.stem}` "
                 f"makes one, `twin run scenes/{path.stem}` runs it"
             )
+        if path.name == "scene.toml":
+            raise InputError(
+                f"{path}: holds the settings of a scene, expected its folder: "
+                f"`twin run {path.parent}` runs it"
+            )
         return path
     if bundled.is_file():
         return bundled
