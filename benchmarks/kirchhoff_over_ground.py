@@ -164,12 +164,12 @@ class OverGround:
         return self.screen * [1, 1, -1] + self._place(1)
 
     def _screens(self, number: int) -> list[Array]:
-        """As the radar or its image sees them, relative to it."""
-        if number == 0:
-            return [self.screen]
+        """As the radar or its image sees them, relative to it: from the radar too, the ground shows
+        a screen, whose wave meets the ground before and behind it.
+        """
         if self._stands:
-            return [np.concatenate([self._shown[[3, 2]], self.screen[2:]]) - self._place(1)]
-        return [self.screen - self._place(1), self._shown[::-1] - self._place(1)]
+            return [np.concatenate([self._shown[[3, 2]], self.screen[2:]]) - self._place(number)]
+        return [self.screen - self._place(number), self._shown[::-1] - self._place(number)]
 
     def _field(self, number: int, places: Array, wavenumber: float) -> Complex:
         """Over the straight wave at places (n, 3), by Babinet's principle."""

@@ -53,13 +53,17 @@ _MOST_ECHOES = 2**21
 #: On waves that are not followed; on echoes of cells that are left out, by what others answer over
 #: their estimate; and share by which each wave to a cell may be off, root of the sum of squares:
 #: `benchmarks.round_obstacles` compares them with Kirchhoff's integral.
-_UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.35
-_OF_CELLS = 0.3  # of the estimates of cells, at most
+_UNFOLLOWED, _OF_RATIO, _OF_ECHOES = 2.0, 2.0, 0.18
+_OF_CELLS = 0.15  # of the estimates of cells, at most
 _DEEP = 3.0  # of a body's limit: faint waves of all cells where they are not followed, apart
+_WHOLE = 64  # cells at most of a body that faint waves are followed to all of, or none
 #: Waves over ends of edges that are stated, over the straight wave: by what else a body may be off
 #: by, over its limit, by the root of its number of cells, and between these. All of them would take
 #: the yard and the street 2 s more.
 _ENDS, _LEAST_OF_ENDS = (5e-5, 1e-4), (0.001, 0.01)
+#: Facets by which faint waves are stated, where a body has at most so many: of larger ones that are
+#: far from square to the way they are up to three times too faint.
+_SMALL_M, _FEW = 0.05, 1000
 _OF_OTHERS = 0.27  # of the error of cells: that of faint waves that are not followed for it
 #: Cells on ways over mirrors, at most, over those on direct ways: as many of both tell of the
 #: yard's car 46 % instead of 47, in 0.6 s more.
@@ -214,6 +218,8 @@ def _of_body(views: TwoViews, body: int, gain: Gain, accepted: Accepted, beside:
     ends = float(np.clip(ends, *_LEAST_OF_ENDS))
     faint = _faint(whole, deepest, is_lit, gain, ends)
     is_deep = _taken(faint.of_cells(), _DEEP * limit, accepted.most) & has_fainter
+    if len(is_deep) <= _WHOLE:
+        is_deep[:] = is_deep.any()
     deep = deepest.take(is_deep)
     rest = whole.take(~is_deep)
     bound = _SURE * float(np.linalg.norm(np.concatenate([rest.change, deep.change])))
@@ -243,6 +249,8 @@ def _faint(
     straight, or led over edges; over ends of edges from an amplitude on.
     """
     views, facets = followed.views, followed.facets
+    if len(facets) <= _FEW:
+        facets = facets.divided(np.full(len(facets), _SMALL_M))
     level = strength(views, facets, gain)
     other_way = deepest.other_ways(is_lit, apart=followed) * (2 if views.are_same else 1)
     return FaintWaves.concatenate(

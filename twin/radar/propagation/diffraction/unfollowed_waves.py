@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import end_paths, farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
+from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.rows import lengths
@@ -32,13 +33,13 @@ _MOST_PAIRS = 2**18  # of cells and edges at once: 30 MB
 @dataclass(frozen=True, eq=False)
 class FaintWaves:
     """Echoes of facets in ``cells`` by waves over edges, (n,): the ``cell``, the ``level`` of the
-    wave over the straight one, the number of the path's ``length``, and the ``echo``.
+    wave over the straight one, the path's ``length``, and the ``echo``.
     """
 
     cells: int
     cell: Indices
     level: Array
-    length: Indices
+    length: Array
     echo: Complex
 
     @staticmethod
@@ -59,7 +60,7 @@ class FaintWaves:
         """
         left = self.level < faintest[self.cell]
         length, echo = self.length[left], self.echo[left]
-        return float(np.sqrt(_powers(np.zeros_like(length), length, echo, 1)[0]))
+        return float(np.sqrt(_powers(np.zeros(len(length), np.int64), length, echo, 1)[0]))
 
 
 def faint_waves(
@@ -80,7 +81,7 @@ def faint_waves(
     """
     of = _Lit.by(view, other, facets, strength, other_way)
     found = [
-        FaintWaves(len(of.center), *(np.zeros(0, dtype=x) for x in (int, float, int, complex)))
+        FaintWaves(len(of.center), *(np.zeros(0, dtype=x) for x in (int, float, float, complex)))
     ]
     for rim in view.all_rims(body, of.center):
         step = max(_MOST_PAIRS // max(len(rim.ends), 1), 1)
@@ -131,8 +132,7 @@ class _Lit:
         length = self.straight[row] + self.again[row] + longer
         echo = self.weight[row] * wave * np.exp(-1j * (k * length % (2 * np.pi)))
         echo *= self.facets.take(row).mean(k * (self.back[row] + towards))
-        number = np.floor(length / _BIN_M).astype(np.int64)
-        return FaintWaves(len(self.size), self.facets.cell[row], level, number, echo)
+        return FaintWaves(len(self.size), self.facets.cell[row], level, length, echo)
 
 
 def _over_edges(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
@@ -204,11 +204,19 @@ def _over(rim: Outline, edge: Indices, direct: Array, straight: Array) -> tuple[
     return longer, towards / np.maximum(distance, 1e-300)[:, None]
 
 
-def _powers(owner: Indices, length: Indices, wave: Complex, count: int) -> Array:
-    """Of every owner, (count,), of waves (n,): those of one length by their phases."""
-    first = length.min(initial=0)
-    span = int(length.max(initial=0) - first) + 1
-    keys, same = np.unique(owner * span + (length - first), return_inverse=True)
-    real, imag = (np.bincount(same, part, len(keys)) for part in (wave.real, wave.imag))
-    powers = np.bincount(keys // span, real**2 + imag**2, count)
+def _powers(owner: Indices, length: Array, wave: Complex, count: int) -> Array:
+    """Of every owner, (count,), of waves (n,): those of about one length by their phases. The power
+    of each is divided between two lengths: parts of a facet that nearly cancel would not, were it
+    cut between them.
+    """
+    number = np.floor(length / _BIN_M).astype(np.int64)
+    turn = np.pi / 2 * (length / _BIN_M - number)
+    least, most = np.full(count, np.iinfo(np.int64).max), np.full(count, -2)
+    np.minimum.at(least, owner, number)
+    np.maximum.at(most, owner, number)
+    span = np.where(most < 0, 0, most - least + 2)
+    key = (np.cumsum(span) - span - least)[owner] + number
+    total = sums(key, np.cos(turn) * wave, span.sum())
+    total += sums(key + 1, np.sin(turn) * wave, span.sum())
+    powers = np.bincount(np.repeat(np.arange(count), span), np.abs(total) ** 2, count)
     return np.asarray(powers, dtype=np.float64)
