@@ -292,7 +292,7 @@ def _contributions(
     """Of those cells that count the most, and what these are off by, (n_bodies,); the rest is added
     to ``left_out``, and all of it is by as much too large as the estimates of these.
     """
-    estimate, level = np.zeros((2, len(left_out)))
+    estimate, level, unsure = np.zeros((3, len(left_out)))
     if not candidates:
         return Contributions.none(), level
     over = np.concatenate([c.change / accepted.limit[c.body] for c in candidates])
@@ -305,14 +305,18 @@ def _contributions(
         left_out[one.body] += np.linalg.norm(one.change[~is_taken])
         if is_taken.any():
             facets = in_small_parts(one.take(is_taken), accepted.fineness)
-            echoes, answered = cell_echoes(one.views, facets, one.body, surface_of_object, gain)
+            echoes, answered, off = cell_echoes(
+                one.views, facets, one.body, surface_of_object, gain
+            )
             parts.append(joined(echoes, accepted.resolution, gain, many))
             changed = np.linalg.norm(one.change[is_taken])
             estimate[one.body] = np.hypot(estimate[one.body], changed)
             level[one.body] = np.hypot(level[one.body], answered)
+            unsure[one.body] = np.hypot(unsure[one.body], off)
     ratio = np.divide(level, estimate, out=np.ones_like(level), where=estimate > 0)
     left_out *= np.minimum(_OF_RATIO * ratio, 1.0)
-    of_cells = np.minimum(_OF_CELLS * accepted.fineness * estimate, _OF_ECHOES * level)
+    more = np.divide(unsure, level, out=np.ones_like(level), where=level > 0)
+    of_cells = more * np.minimum(_OF_CELLS * accepted.fineness * estimate, _OF_ECHOES * level)
     return Contributions.concatenate(parts), of_cells
 
 

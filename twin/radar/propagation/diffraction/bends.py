@@ -147,6 +147,11 @@ class Bends:
                 longer[rows] = phase / k
         return Change(longer, factor)
 
+    @property
+    def is_twice(self) -> Flags:
+        """Which paths lead over two edges, one after the other, (n,)."""
+        return np.asarray((self.begin != self.source).any(axis=1))
+
     @cached_property
     def _is_bent(self) -> Flags:
         return np.asarray((self.stop != self.source).any(axis=1))

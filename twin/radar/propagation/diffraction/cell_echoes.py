@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
+_OVER_TWO = 2.0  # by how much more waves over two edges in a row may be off
 _FAINT_PAIRS = 0.1  # of the faintest single path: pairs of paths; behind a fence many add up
 
 
@@ -40,14 +41,15 @@ def cell_echoes(
     body: int,
     surface_of_object: NDArray[np.uint32],
     gain: Callable[[Array], Array],
-) -> tuple[Contributions, float]:
+) -> tuple[Contributions, float, float]:
     """Contributions of all facets of some cells of a body, by diffracted paths of two views,
-    without gains; and the root of the sum of squares of how much the echo of each cell, with gains,
-    changes with each of the paths to it.
+    without gains; the root of the sum of squares of how much the echo of each cell, with gains,
+    changes with each of the paths to it; and the same with as much more of each as it may be off by
+    more than others.
     """
     facets, is_lit = shown_facets(views, facets, body)
     if not len(facets):
-        return Contributions.none(), 0.0
+        return Contributions.none(), 0.0, 0.0
     row = middle_facets(facets, views.one.place)
     place, normal = facets.middle[row], facets.normal(views.one.place)[row]
     off = offset_m(place) * normal
@@ -66,8 +68,10 @@ def cell_echoes(
     beyond, straight_on = summed(views.one.obstacles, facets, current * step, alone)
     of_paths = _of_paths(ways, over_edges, straight_on)
     gains = np.sqrt(gain(straight[0].departure) * gain(straight[-1].departure))
-    level = np.linalg.norm(gains[ways.cell] * of_paths)
-    return Contributions.concatenate([echoes, beyond]), float(level)
+    level = np.abs(gains[ways.cell] * of_paths)
+    unsure = level * np.where(ways.bends.is_twice, _OVER_TWO, 1.0)
+    both = Contributions.concatenate([echoes, beyond])
+    return both, float(np.linalg.norm(level)), float(np.linalg.norm(unsure))
 
 
 def _of_paths(ways: Ways, over_edges: Complex, beyond: Complex) -> Complex:
