@@ -31,7 +31,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-_OVER_TWO = 2.0  # by how much more waves over two edges in a row may be off
+#: By how much more waves to a cell may be off where some lead over two edges in a row: those over
+#: an end of either are left out.
+_OVER_TWO = 2.0
 _FAINT_PAIRS = 0.1  # of the faintest single path: pairs of paths; behind a fence many add up
 
 
@@ -44,8 +46,8 @@ def cell_echoes(
 ) -> tuple[Contributions, float, float]:
     """Contributions of all facets of some cells of a body, by diffracted paths of two views,
     without gains; the root of the sum of squares of how much the echo of each cell, with gains,
-    changes with each of the paths to it; and the same with as much more of each as it may be off by
-    more than others.
+    changes with each of the paths to it; and the same with as much more of cells as waves to them
+    may be off by more than to others.
     """
     facets, is_lit = shown_facets(views, facets, body)
     if not len(facets):
@@ -69,7 +71,8 @@ def cell_echoes(
     of_paths = _of_paths(ways, over_edges, straight_on)
     gains = np.sqrt(gain(straight[0].departure) * gain(straight[-1].departure))
     level = np.abs(gains[ways.cell] * of_paths)
-    unsure = level * np.where(ways.bends.is_twice, _OVER_TWO, 1.0)
+    has_twice = np.bincount(ways.cell, ways.bends.is_twice) > 0
+    unsure = level * np.where(has_twice[ways.cell], _OVER_TWO, 1.0)
     both = Contributions.concatenate([echoes, beyond])
     return both, float(np.linalg.norm(level)), float(np.linalg.norm(unsure))
 
