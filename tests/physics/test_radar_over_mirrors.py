@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.behind_fences import half_plane
+from benchmarks.kirchhoff import echo_behind
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, quad, world
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace
@@ -86,7 +87,7 @@ def test_on_the_ground_a_wall_has_no_border() -> None:
 
 
 #: Echo of the ball of `seen` behind the next test's obstacle over the free one, by brute force:
-#: `benchmarks.kirchhoff.echo_behind` of both as the wall shows them.
+#: as `test_what_passes_is_kirchhoffs` computes it.
 _PASSED = {
     ("before the wall", 0.02): 0.429 + 0.253j,
     ("before the wall", 0.05): 1.043 + 0.502j,
@@ -95,6 +96,21 @@ _PASSED = {
     ("behind it", 0.05): 1.283 - 0.170j,
     ("behind it", 0.1): 0.880 + 0.084j,
 }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("leg", "below_m"), list(_PASSED))
+def test_what_passes_is_kirchhoffs(leg: str, below_m: float) -> None:
+    """Without the wall, the ball and the obstacle where the wall shows them."""
+    whole_m = float(np.hypot(7, 2))
+    along = np.array([7.0, 2.0]) / whole_m
+    aside = np.array([along[1], -along[0]])
+    place = (2.5 if leg == "before the wall" else whole_m - 0.8) * along
+    (x, y), (u, v) = place + below_m * aside, place + (below_m + 0.6) * aside
+    obstacle = np.array([[x, y, 1], [u, v, 1], [u, v, -1], [x, y, -1]])
+    body, wavenumber = ball("ball", (7.0, 2.0, 0.0), 0.1, 5), 2 * np.pi / WAVELENGTH_M
+    free, whole = (echo_behind(body, some, wavenumber).whole for some in ([], [obstacle]))
+    assert whole / free == pytest.approx(_PASSED[leg, below_m], abs=2e-3)
 
 
 @pytest.mark.parametrize("leg", ["before the wall", "behind it"])
