@@ -11,6 +11,14 @@ from twin.radar.rows import phasors
 _K, _STEP, _BIN_M = 1655.0, two_way_echoes._STEP, two_way_echoes._BIN_M
 
 
+def _means(longer_m: np.ndarray, factor: np.ndarray, by: float) -> np.ndarray:
+    """Over triangles, of values (3, n) at the corners; the second leg changes nothing."""
+    longer_m, factor = np.append(longer_m, 0.0), np.append(factor, 1.0)
+    waves = longer_m, factor, phasors(-_K * longer_m), phasors(-by * longer_m)
+    number = np.arange(len(factor) - 1).reshape(3, -1)
+    return mean_waves(waves, number, np.full_like(number, number.size), _K, by)[0]
+
+
 def test_means_over_triangles_are_gauss_integrals() -> None:
     """Of waves with linear phases and amplitudes, at three wavenumbers: triangles from 1 um, where
     all corners are alike, to 2 cm; some with two corners alike, or all three.
@@ -19,8 +27,7 @@ def test_means_over_triangles_are_gauss_integrals() -> None:
     longer_m = rng.normal(size=(3, 700)) * 10 ** rng.uniform(-6, -1.7, 700) + rng.normal(size=700)
     factor = rng.normal(size=(3, 700)) + 1j * rng.normal(size=(3, 700))
     factor[:, :100], longer_m[1, 100:200], longer_m[:, 200:230] = 1, longer_m[0, 100:200], 1.0
-    phasor, step = phasors(-_K * longer_m), phasors(-_STEP * longer_m)
-    means = mean_waves(longer_m, factor, phasor, step, _K, _STEP)
+    means = _means(longer_m, factor, _STEP)
     nodes, weights = np.polynomial.legendre.leggauss(60)
     u, v = np.meshgrid((nodes + 1) / 2, (nodes + 1) / 2)
     share = np.array([1 - u - v * (1 - u), u, v * (1 - u)]).reshape(3, -1)
@@ -38,7 +45,7 @@ def test_means_of_facets_are_those_of_linear_phases() -> None:
     facets = Facets(corners, nothing, nothing)
     longer_m = -np.einsum("nci,ni->cn", corners - facets.middle[:, None], slope) / _K
     ones = np.ones((3, 500), dtype=complex)
-    mean = mean_waves(longer_m, ones, phasors(-_K * longer_m), ones, _K, 0.0)[1]
+    mean = _means(longer_m, ones, 0.0)[1]
     np.testing.assert_allclose(facets.mean(slope), mean, rtol=0, atol=5e-6)
 
 

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import wofz
 
+from hardware.compiled import kernel
 from twin.radar.rows import phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 _FAR = 8.0  # rad: beyond, the integral is taken down the steepest descent
 _DEEP = 10.0  # of the scaled way down: exp(-10 sqrt 2) is left
 
@@ -69,21 +70,35 @@ def _by_difference(q: Array, p: Array) -> Complex:
     """Half the infinite edge's factor less the integral up to the end."""
     ratio = np.sqrt(p / np.maximum(q, 1e-300))
     x = 0.5 * ratio[:, None] * (1 + _NODES)
-    side = np.exp(-1j * q[:, None] * x**2) / (1 + x**2) @ _WEIGHTS * (0.25 * ratio / np.pi)
-    factor: Complex = (0.5 * knife_edge_factor(q) - side) * np.exp(1j * p)
+    side = phasors(-q[:, None] * x**2) / (1 + x**2) @ _WEIGHTS * (0.25 * ratio / np.pi)
+    factor: Complex = (0.5 * knife_edge_factor(q) - side) * phasors(p)
     return factor
 
 
 def _by_steepest_descent(q: Array, p: Array) -> Complex:
     """Along x = sqrt(p / q) + exp(-j pi / 4) u, where the integrand decays without oscillation."""
-    scale = 1 / (1 + np.sqrt(2 * p))
-    w = 0.5 * _DEEP * (1 + _NODES) * scale[:, None]
-    root = np.sqrt(q)[:, None]
-    x = np.sqrt(p / q)[:, None] + np.exp(-0.25j * np.pi) * w / root
-    falling = np.exp(-(w**2) - 2 * np.exp(0.25j * np.pi) * np.sqrt(p)[:, None] * w)
-    sums = falling / (1 + x**2) @ _WEIGHTS
-    value: Complex = np.exp(-0.25j * np.pi) * _DEEP * scale / (4 * np.pi) / np.sqrt(q) * sums
+    value: Complex = kernel(_descended)(q, p, 0.5 * _DEEP * (1 + _NODES), _DEEP * _WEIGHTS)
     return value
+
+
+def _descended(q: Array, p: Array, nodes: Array, weights: Array) -> Complex:
+    value = np.empty(len(q), dtype=np.complex128)
+    for i in range(len(q)):
+        root = np.sqrt(2 * p[i])
+        scale = 1 / (1 + root)
+        real, imag = 0.0, 0.0
+        for node, weight in zip(nodes, weights):  # noqa: B905 - compiled
+            w = node * scale
+            turn = root * w
+            fall = w * w + turn
+            # 1 + x^2 is one + j other, conjugated.
+            one, other = 1 + (p[i] + turn) / q[i], fall / q[i]
+            level = weight * np.exp(-fall) / (one * one + other * other)
+            cosine, sine = np.cos(turn), np.sin(turn)
+            real += level * (cosine * one + sine * other)
+            imag += level * (cosine * other - sine * one)
+        value[i] = (1 - 1j) * (real + 1j * imag) * scale / np.sqrt(q[i])
+    return value * (np.sqrt(0.5) / (4 * np.pi))
 
 
 def missing_edge_bound(q: Array, p: Array) -> Array:

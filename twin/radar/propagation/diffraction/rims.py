@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import (
     knife_edge_factor,
     missing_edge_factor,
@@ -179,23 +180,53 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
     path is longer by at most a phase ``most``.
     """
-    first, along = rim.ends[:, 0], _along(rim)[0]
-    # Feet of the perpendiculars on an edge's line, and how far off it the source and points are.
-    at_source = -np.sum(first * along, axis=1)
-    foot = first + at_source[:, None] * along
-    off_source = np.linalg.norm(foot, axis=1)
-    square = np.sum(direct**2, axis=1)[:, None]
-    forward, across = direct @ along.T, direct @ foot.T
-    off_place = np.sqrt(np.maximum(square - forward**2 - 2 * across + off_source**2, 0))
-    # The square of the path's length less that of the direct one.
-    more = np.maximum(2 * (off_source * off_place + off_source**2 - across), 0)
-    q = np.maximum(wavenumber * more / (np.sqrt(square + more) + np.sqrt(square)), 1e-12)
-    i, j = np.nonzero(q <= most)
-    off_place = off_place[i, j]
-    both = np.maximum(off_source[j] + off_place, 1e-300)
-    at_place = at_source[j] + forward[i, j]
-    at = (at_source[j] * off_place + at_place * off_source[j]) / both
-    return _Pairs(rim, direct, i, j, at, q[i, j], wavenumber)
+    direct = np.ascontiguousarray(direct)
+    ends = np.ascontiguousarray(rim.ends)
+    point, edge, at, q = kernel(_near)(ends, direct, wavenumber, most)
+    return _Pairs(rim, direct, point, edge, at, q, wavenumber)
+
+
+def _near(
+    ends: Array, direct: Array, wavenumber: float, most: float
+) -> tuple[Indices, Indices, Array, Array]:
+    count = len(ends)
+    first, along, foot = ends[:, 0].copy(), np.empty((count, 3)), np.empty((count, 3))
+    at_source, off_source = np.empty(count), np.empty(count)
+    for j in range(count):
+        side = ends[j, 1] - ends[j, 0]
+        along[j] = side / np.sqrt(np.sum(side**2))
+        # Feet of the perpendiculars on an edge's line, and how far off it the source is.
+        at_source[j] = -np.sum(first[j] * along[j])
+        foot[j] = first[j] + at_source[j] * along[j]
+        off_source[j] = np.sqrt(np.sum(foot[j] ** 2))
+    point, edge = [0 for _ in range(0)], [0 for _ in range(0)]
+    at, phase = [0.0 for _ in range(0)], [0.0 for _ in range(0)]
+    for i in range(len(direct)):
+        x, y, z = direct[i]
+        square = x * x + y * y + z * z
+        straight = np.sqrt(square)
+        farthest = 0.5 * ((straight + most / wavenumber) ** 2 - square)
+        for j in range(count):
+            forward = x * along[j, 0] + y * along[j, 1] + z * along[j, 2]
+            across = x * foot[j, 0] + y * foot[j, 1] + z * foot[j, 2]
+            off = off_source[j]
+            off_square = max(square - forward**2 - 2 * across + off * off, 0.0)
+            # Most are too far for sure, which needs no root.
+            product = farthest + across - off * off
+            if product < 0 or off * off * off_square > product * product * (1 + 1e-9):
+                continue
+            off_place = np.sqrt(off_square)
+            # The square of the path's length less that of the direct one.
+            more = max(2 * (off * off_place + off * off - across), 0.0)
+            q = max(wavenumber * more / (np.sqrt(square + more) + straight), 1e-12)
+            if q <= most:
+                both = max(off + off_place, 1e-300)
+                at_place = at_source[j] + forward
+                at.append((at_source[j] * off_place + at_place * off) / both)
+                point.append(i)
+                edge.append(j)
+                phase.append(q)
+    return np.array(point), np.array(edge), np.array(at), np.array(phase)
 
 
 def _along(rim: Outline) -> tuple[Array, Array]:

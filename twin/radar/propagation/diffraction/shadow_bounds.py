@@ -16,11 +16,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.rows import phasors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -129,23 +131,14 @@ def change_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:
     Past both sides of a post waves cancel, and through a slit they add.
     """
     root_q, _, _, faces = _phases(rim, direct, np.zeros(len(direct)), wavenumber)
-    sides, is_lit, row = rim.lit @ rim.lit.T, direct @ rim.lit.T > 0, np.arange(len(direct))
-
-    def nearest(of: NDArray[np.bool_]) -> tuple[Indices, NDArray[np.complex128]]:
-        among = np.where(of, root_q, np.inf)
-        edge = among.argmin(axis=1)
-        root = among[row, edge]
-        q = np.where(np.isfinite(root), root, 0.0) ** 2
-        phase_rad = np.angle(knife_edge_factor(q)) - q
-        wave = np.where(is_lit[row, edge], -1, 1) * np.exp(1j * phase_rad)
-        return edge, knife_edge_bound(root) * wave
-
-    change = np.zeros(len(direct))
-    of = np.ones_like(root_q, dtype=bool)
-    for _ in range(2):
-        edge, wave = nearest(of)
-        change += np.abs(wave + nearest(of & (sides[edge] < -_ALONG))[1])
-        of = faces & (np.abs(sides[edge]) <= _ALONG)  # not those that go away from its end
+    edges, roots = _nearest(root_q, faces, rim.lit, -_ALONG)
+    q = np.where(np.isfinite(roots), roots, 0.0) ** 2
+    factor = knife_edge_factor(q) * phasors(-q)
+    sign = np.where(np.einsum("eni,ni->en", rim.lit[edges], direct) > 0, -1, 1)
+    nearest, opposite, across, opposite_across = (
+        sign * knife_edge_bound(roots) * factor / np.abs(factor)
+    )
+    change: Array = np.abs(nearest + opposite) + np.abs(across + opposite_across)
     return change
 
 
@@ -155,18 +148,46 @@ def _beside(
     """Of one obstacle and cells at the ends of vectors (n, 3): ``level``, ``nearest``, ``steepest``
     and ``aside`` of `Cells`, and the row of the nearest edge.
     """
-    root_q, grows, angle, _ = _phases(rim, direct, radius, wavenumber)
-    closest, row = root_q.argmin(axis=1), np.arange(len(direct))
-    nearest = root_q[row, closest]
+    root_q, grows, angle, faces = _phases(rim, direct, radius, wavenumber)
     # A narrow obstacle lets waves come round both of its sides.
-    is_opposite = rim.lit @ rim.lit.T < 0
-    other = np.where(is_opposite[closest], root_q, np.inf).min(axis=1)
+    (closest, *_), (nearest, other, *_) = _nearest(root_q, faces, rim.lit, 0.0)
     level = knife_edge_bound(nearest) + knife_edge_bound(other)
-    is_near = np.isfinite(nearest)
+    is_near, row = np.isfinite(nearest), np.arange(len(direct))
     level[~is_near] = 0
     steepest = np.where(is_near, grows[row, closest], 0)
     aside = np.where(is_near, angle[row, closest], 0)
     return level, nearest, steepest, aside, closest
+
+
+def _nearest(
+    root_q: Array, faces: NDArray[np.bool_], lit: Array, opposite: float
+) -> tuple[Indices, Array]:
+    """Rows of edges of the least roots of phases (n, m), and these, (4, n): of all; of those on the
+    other side of that one, the cosine between whose directions ``lit`` (m, 3) is below
+    ``opposite``; and the same two of those across the first that paths face, not such as go away
+    from its end. Where there are none, inf.
+    """
+    edges, roots = kernel(_nearest_pairs)(root_q, faces, np.ascontiguousarray(lit), opposite)
+    return edges, roots
+
+
+def _nearest_pairs(
+    root_q: Array, faces: NDArray[np.bool_], lit: Array, opposite: float
+) -> tuple[Indices, Array]:
+    count, every = root_q.shape
+    edges, roots = np.zeros((4, count), dtype=np.int64), np.full((4, count), np.inf)
+    for i in range(count):
+        for k in range(4):
+            first, nearest = lit[edges[0, i]], lit[edges[2 * (k // 2), i]]
+            for j in range(every):
+                if root_q[i, j] >= roots[k, i]:
+                    continue
+                if k >= 2 and (not faces[i, j] or abs(np.sum(first * lit[j])) > _ALONG):
+                    continue
+                if k % 2 == 1 and np.sum(nearest * lit[j]) >= opposite:
+                    continue
+                edges[k, i], roots[k, i] = j, root_q[i, j]
+    return edges, roots
 
 
 def _phases(
@@ -176,26 +197,43 @@ def _phases(
     each edge, how that grows across the line of sight, 1/m, the square of the angle between both
     waves over q, and whether that path is shortest between the edge's ends, (n, m).
     """
-    first, side = rim.ends[:, 0], rim.ends[:, 1] - rim.ends[:, 0]
-    length = np.linalg.norm(side, axis=1)
-    along = side / length[:, None]
-    straight = np.linalg.norm(direct, axis=1)
-    # The shortest path over an edge's line is straight once both planes are turned into one.
-    at_source = -np.sum(first * along, axis=1)
-    foot = first + at_source[:, None] * along
-    off_source = np.linalg.norm(foot, axis=1)
-    forward = direct @ along.T
-    square = straight[:, None] ** 2 - forward**2 - 2 * direct @ foot.T + off_source**2
-    off_place = np.sqrt(np.maximum(square, 0))
-    both = np.maximum(off_source + off_place, 1e-300)
-    straight_at = at_source + forward * off_source / both
-    at = np.clip(straight_at, 0, length)
-    a = np.hypot(off_source, at - at_source)
-    b = np.maximum(np.hypot(off_place, at - at_source - forward), 1e-9)
-    depth = (direct @ first.T + at * forward) / straight[:, None] ** 2
-    grows = np.sqrt(wavenumber * a / (2 * b * (a + b)))
-    root_q = np.sqrt(np.maximum(wavenumber * (a + b - straight[:, None]), 0))
-    root_q = np.maximum(root_q - radius[:, None] * grows, 0)
-    slack = (radius / straight)[:, None]
-    root_q[(depth < -slack) | (depth > 1 + slack)] = np.inf
-    return root_q, grows, 2 * a / (wavenumber * b * (a + b)), at == straight_at
+    root_q, grows, angle, is_met = kernel(_of_edges)(
+        np.ascontiguousarray(rim.ends), np.ascontiguousarray(direct), radius, wavenumber
+    )
+    return root_q, grows, angle, is_met
+
+
+def _of_edges(
+    ends: Array, direct: Array, radius: Array, wavenumber: float
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    root_q, grows, angle = np.empty((3, len(direct), len(ends)))
+    is_met = np.empty((len(direct), len(ends)), dtype=np.bool_)
+    for j in range(len(ends)):
+        first, side = ends[j, 0], ends[j, 1] - ends[j, 0]
+        length = np.sqrt(np.sum(side**2))
+        along = side / length
+        # The shortest path over an edge's line is straight once both planes are turned into one.
+        at_source = -np.sum(first * along)
+        foot = first + at_source * along
+        off_source = np.sqrt(np.sum(foot**2))
+        for i in range(len(direct)):
+            x, y, z = direct[i]
+            forward = x * along[0] + y * along[1] + z * along[2]
+            across = x * foot[0] + y * foot[1] + z * foot[2]
+            squared = x * x + y * y + z * z
+            straight = np.sqrt(squared)
+            square = squared - forward * forward - 2 * across + off_source * off_source
+            off_place = np.sqrt(max(square, 0.0))
+            straight_at = at_source + forward * off_source / max(off_source + off_place, 1e-300)
+            at = min(max(straight_at, 0.0), length)
+            a = np.sqrt(off_source**2 + (at - at_source) ** 2)
+            b = max(np.sqrt(off_place**2 + (at - at_source - forward) ** 2), 1e-9)
+            depth = (x * first[0] + y * first[1] + z * first[2] + at * forward) / squared
+            grows[i, j] = np.sqrt(wavenumber * a / (2 * b * (a + b)))
+            angle[i, j] = 2 * a / (wavenumber * b * (a + b))
+            is_met[i, j] = at == straight_at
+            root = np.sqrt(max(wavenumber * (a + b - straight), 0.0))
+            slack = radius[i] / straight
+            is_passed = -slack <= depth <= 1 + slack
+            root_q[i, j] = max(root - radius[i] * grows[i, j], 0.0) if is_passed else np.inf
+    return root_q, grows, angle, is_met

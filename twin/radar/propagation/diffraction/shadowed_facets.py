@@ -75,9 +75,7 @@ class Facets:
         """Means (n,) of phasors whose phases are 0 at the centroids and have gradients (n, 3) in
         rad/m.
         """
-        phase = np.einsum("nci,ni->cn", self.corners - self.middle[:, None], slope)
-        phase.sort(axis=0)
-        return mean_phasors(phase)
+        return mean_phasors(self.corners, slope)
 
     def take(self, which: Any) -> "Facets":
         """Only some of them, by index or mask."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.bends import Bends
 from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
@@ -81,6 +82,11 @@ class _Legs:
     phasor: Complex
     step: Complex
 
+    @property
+    def waves(self) -> tuple[Array, Complex, Complex, Complex]:
+        """As `mean_waves` takes them."""
+        return self.longer_m, self.factor, self.phasor, self.step
+
     @staticmethod
     def of(obstacles: Screens, corners: _Corners, ways: Ways, paths: Indices) -> "_Legs":
         """Of some paths, by number, at all corners of their cells."""
@@ -141,21 +147,13 @@ def _of_ways(
     p, q = (
         legs.first[ends][way] + corners.of_facet[:, facet] for ends in number.reshape(both.shape)
     )
-    longer_m = legs.longer_m[p] + legs.longer_m[q]
-    means = mean_waves(
-        longer_m,
-        legs.factor[p] * legs.factor[q],
-        legs.phasor[p] * legs.phasor[q],
-        legs.step[p] * legs.step[q],
-        obstacles.wavenumber,
-        _STEP,
-    )
+    means, longer_m = mean_waves(legs.waves, p, q, obstacles.wavenumber, _STEP)
     less, mean, more = current[facet] * ways.share[rows][way] * means
     total, pair, bins = _binned(
         less,
         mean,
         more,
-        longer_m.mean(axis=0),
+        longer_m,
         way * (int(facets.object.max()) + 1) + facets.object[facet],
         obstacles.wavenumber,
     )
@@ -206,34 +204,54 @@ def _binned(
     Returns the sums without the phases of their lengths, the first wave of each, and the number of
     its length.
     """
-    middle = np.rint(longer_m / _BIN_M).astype(np.int64)
-    lowest = int(middle.min()) - 1
-    steps = np.arange(int(np.ptp(middle)) + 3)
-    length_m = np.asarray(_BIN_M * (lowest + steps), np.float64)
-    turn = phasors(wavenumber * length_m % (2 * np.pi))
-    step = phasors(_STEP * length_m % (2 * np.pi))[middle - lowest]
-    parts = _at_lengths(less * step.conj(), mean, more * step)
-    first = np.flatnonzero(np.diff(group, prepend=-1))
-    least = np.minimum.reduceat(middle, first) - 1
-    span = np.maximum.reduceat(middle, first) - least + 2
-    begin = np.cumsum(span) - span
-    number = middle + np.repeat(begin - least, np.diff(first, append=len(group)))
-    count = int(span.sum())
-    total, row = np.zeros(count, dtype=np.complex128), np.full(count, -1)
-    for off, part in zip((-1, 0, 1), parts, strict=True):
-        at = number + off
-        total += sums(at, part * turn[middle + off - lowest], count)
-        row[at[::-1]] = np.arange(len(at))[::-1]
-    some = np.flatnonzero(row >= 0)
-    which = np.searchsorted(begin, some, side="right") - 1
-    return total[some], row[some], some - begin[which] + least[which]
+    waves = [np.ascontiguousarray(wave) for wave in (less, mean, more)]
+    total, first, number = kernel(_in_bins)(*waves, longer_m, group)
+    return total * phasors(wavenumber * _BIN_M * number % (2 * np.pi)), first, number
 
 
-def _at_lengths(less: Complex, mean: Complex, more: Complex) -> tuple[Complex, Complex, Complex]:
-    """Amplitudes at lengths of -`_BIN_M`, 0 and `_BIN_M`, whose sums are given waves at the carrier
-    less `_STEP`, at the carrier, and as much above.
+def _in_bins(
+    less: Complex,
+    mean: Complex,
+    more: Complex,
+    longer_m: Array,
+    group: Indices,
+) -> tuple[Complex, Indices, Indices]:
+    """As of `_binned`, with the phases of lengths.
+
+    Amplitudes at lengths of -`_BIN_M`, 0 and `_BIN_M` whose sums are a wave at three wavenumbers
+    solve three equations.
     """
+    count = len(mean)
+    total = np.zeros(3 * count, dtype=np.complex128)
+    first, number = np.empty((2, 3 * count), dtype=np.int64)
     cosine, sine = np.cos(_STEP * _BIN_M), np.sin(_STEP * _BIN_M)
-    both = (mean - (more + less) / 2) / (1 - cosine)
-    difference = 1j * (more - less) / (2 * sine)
-    return (both - difference) / 2, mean - both, (both + difference) / 2
+    middle, least = np.empty(count, dtype=np.int64), 2**62
+    for i in range(count):
+        middle[i] = np.int64(np.rint(longer_m[i] / _BIN_M))
+        least = min(least, middle[i] - 1)
+    steps = middle.max() + 2 - least if count else 0
+    turn = np.exp(1j * (_STEP * _BIN_M * (least + np.arange(steps))))
+    sums, owner = np.zeros(steps, dtype=np.complex128), np.full(steps, -1)
+    begin, filled = 0, 0
+    while begin < count:
+        end, low, high = begin, middle[begin], middle[begin]
+        while end < count and group[end] == group[begin]:
+            low, high = min(low, middle[end]), max(high, middle[end])
+            at = middle[end] - least
+            lower, center, upper = less[end] * turn[at].conjugate(), mean[end], more[end] * turn[at]
+            both = (center - (upper + lower) / 2) / (1 - cosine)
+            difference = 1j * (upper - lower) / (2 * sine)
+            sums[at - 1] += (both - difference) / 2
+            sums[at] += center - both
+            sums[at + 1] += (both + difference) / 2
+            for k in range(at - 1, at + 2):
+                if owner[k] < 0:
+                    owner[k] = end
+            end += 1
+        for k in range(low - 1 - least, high + 2 - least):
+            if owner[k] >= 0:
+                total[filled], first[filled], number[filled] = sums[k], owner[k], k + least
+                sums[k], owner[k] = 0, -1
+                filled += 1
+        begin = end
+    return total[:filled], first[:filled], number[:filled]
