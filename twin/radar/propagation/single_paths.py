@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
-from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, unsure_m
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.blocking import first_between
 from twin.radar.propagation.diffraction.corners import past_borders
 from twin.radar.propagation.diffraction.mirrors import (
@@ -19,7 +19,12 @@ from twin.radar.propagation.diffraction.mirrors import (
     border_waves,
     passed_twice,
 )
-from twin.radar.propagation.diffraction.rims import DiffractedPaths, is_strong, matching_pairs
+from twin.radar.propagation.diffraction.rims import (
+    DiffractedPaths,
+    is_strong,
+    matching_pairs,
+    unsure_m,
+)
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext

@@ -28,6 +28,7 @@ from twin.radar.propagation.diffraction.rims import (
     merged,
     near_edges,
     rim_paths,
+    unsure_m,
 )
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.two_edges import (
@@ -54,7 +55,6 @@ _PAIRS = 2**20  # of points and edges, at once
 #: on one of the segments before and behind the mirror, not on neither.
 _ASIDE_M = 1e-7
 _LEVEL = 0.1  # cosine between the way beside an edge and a mirror on which it stands, at least
-_UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 
 
 class _Singles(NamedTuple):
@@ -354,12 +354,6 @@ def _groups(rows: Indices, own: Indices) -> list[Indices]:
     lone = rows[own[rows] < 0]
     bodies = [rows[own[rows] == body] for body in np.unique(own[rows]) if body >= 0]
     return [*bodies, *np.split(lone, np.arange(1, len(lone)))] if len(lone) else bodies
-
-
-def unsure_m(places: Array) -> Array:
-    """How near to edges at places (n, 3) float32 rays may err."""
-    unsure: Array = _UNSURE_M * (1 + 0.1 * np.linalg.norm(places, axis=1))
-    return unsure
 
 
 def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:

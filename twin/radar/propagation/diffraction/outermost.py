@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin.geometry.near_boxes import near_pairs
+from twin.radar.propagation.diffraction.rims import unsure_m
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -30,7 +31,6 @@ Indices = NDArray[np.int64]
 
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of an object
-_BESIDE_M = 3e-4  # of a rim, where rays are sure; as much more for every 10 m
 #: Gap between a rim and what goes on before or behind it, times the sum of the inverse distances
 #: from the source to the nearer and from the farther to the point: from there on waves pass between
 #: both: of objects that touch, and of others, whose waves over both edges are known.
@@ -295,7 +295,7 @@ def _first_met(
 
 def _aside_m(middle: Array, wavelength_m: float) -> Array:
     """Distances aside of places (n, 3) on rims where rays look, (n, steps)."""
-    nearest = _nearest_m(middle)
+    nearest = unsure_m(middle)
     widest = _WIDEST / _PIECE * _piece_m(middle, wavelength_m)
     share = np.arange(_STEPS) / (_STEPS - 1)
     aside: Array = nearest[:, None] * np.maximum(widest / nearest, 1)[:, None] ** share
@@ -386,8 +386,3 @@ def _joined(rim: Outline, wavelength_m: float) -> Outline:
 def _piece_m(place: Array, wavelength_m: float) -> Array:
     size: Array = _PIECE * np.sqrt(wavelength_m * np.linalg.norm(place, axis=1))
     return size
-
-
-def _nearest_m(place: Array) -> Array:
-    distance: Array = _BESIDE_M * (1 + 0.1 * np.linalg.norm(place, axis=1))
-    return distance

@@ -23,8 +23,10 @@ _NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an ed
 _OF_TWO = 0.3  # likewise, where nothing but ends is looked for
 _STRAIGHT = 0.985  # cosine: 10 deg, from which on a corner is sharp
 _FAR = 3.0  # rad: of a path over an edge's end over the edge's own one
-#: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it.
-BESIDE = 0.05
+#: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it; at
+#: most, where rays may err by more than a third of the first.
+_BESIDE, _FAR_BESIDE = 0.02, 0.05
+_UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 _MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
 _MERGED_PLACE_M = 0.01  # of fences, posts stand by themselves
 
@@ -318,7 +320,14 @@ def _beside_m(pairs: _Pairs, place: Array) -> Array:
     """How far from a place on an obstacle a path passes by it."""
     there, back = lengths(place), lengths(pairs.direct - place)
     zone: Array = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
-    return np.minimum(BESIDE * zone, pairs.rim.room_m[pairs.edge] / 2)
+    beside_m = np.clip(3 * unsure_m(place), _BESIDE * zone, _FAR_BESIDE * zone)
+    return np.minimum(beside_m, pairs.rim.room_m[pairs.edge] / 2)
+
+
+def unsure_m(places: Array) -> Array:
+    """How near to edges at places (n, 3) float32 rays may err."""
+    unsure: Array = _UNSURE_M * (1 + 0.1 * lengths(places))
+    return unsure
 
 
 def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:
