@@ -26,8 +26,10 @@ from twin.radar import radar_capture as radar_capture
 from twin.radar import radar_names as radar_names
 from twin.radar.evaluation import RadarEvaluation as RadarEvaluation
 from twin.radar.evaluation import evaluate_radar as evaluate_radar
+from twin.radar.propagation.facets.convergence import BodyEcho as BodyEcho
 from twin.radar.propagation.result import Propagation as Propagation
 from twin.radar.propagation.solvers import PropagationModel as PropagationModel
+from twin.radar.propagation.solvers import trace as trace
 from twin.radar.synthesis import Contributions as Contributions
 from twin.scene import Pose as Pose
 from twin.scene import Rig as Rig
