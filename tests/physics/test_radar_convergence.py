@@ -27,6 +27,8 @@ from twin.fidelity import Fidelity
 from twin.radar import load_radar, radar_capture
 from twin.radar.evaluation import evaluate_radar
 from twin.radar.propagation.facets.convergence import (
+    LEAST,
+    WITHIN,
     BodyEcho,
     band_of,
     beyond_tolerance,
@@ -241,10 +243,13 @@ def test_errors_count_against_the_least_level() -> None:
 
 
 def test_what_is_left_out_by_unlike_paths_adds_by_its_squares() -> None:
-    """Phases of their own: 0.3 and 0.4 make 0.5, beside the error of what was computed."""
-    body = BodyEcho(("a",), 0.0, 0.35, 0.1, systematic=0.3).off_by(0.4)
+    """Phases of their own: 0.3 and 0.4 make 0.5, with 1.2 of what was computed 1.3."""
+    echo, error = np.ones((1, 3)), np.array([(1.2 - LEAST) / WITHIN])
+    (body,) = body_echoes([("a",)], echo, error, 0.1, 0.0, left_out=np.array([0.3]))
+    body = body.off_by(0.4)
     assert body.systematic == pytest.approx(0.5)
-    assert body.estimated_error == pytest.approx(0.55)
+    assert body.estimated_error == pytest.approx(1.3)
+    assert body.accepted_error == pytest.approx(1.2)
 
 
 def test_of_a_track_the_worst_burst_is_named() -> None:

@@ -89,7 +89,7 @@ def test_the_errors_of_a_profile_are_those_of_its_body() -> None:
         profile = body.profile
         assert profile is not None
         statistical = 3e-3 + 3 * math.sqrt(profile.square.sum()) / body.level_amplitude
-        assert body.estimated_error - body.systematic == pytest.approx(statistical, rel=1e-3)
+        assert body.accepted_error == pytest.approx(statistical, rel=1e-3)
         # Cells are half a resolution cell: their powers are about that of the band.
         assert 0.3 < math.sqrt(profile.power.sum()) / body.amplitude < 3
 

@@ -47,7 +47,7 @@ def errors_in_cell(
     for body in bodies:
         if body.profile is None:
             level = body.level_amplitude
-            square += ((body.estimated_error - body.systematic) * level) ** 2
+            square += (body.accepted_error * level) ** 2
             bound += body.systematic * level
             continue
         profile = body.profile

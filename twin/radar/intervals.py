@@ -47,9 +47,9 @@ def body_level(body: BodyEcho) -> Interval:
     if not body.amplitude:
         return Interval(body.level_db)
     over = body.level_amplitude / body.amplitude
-    statistical = (body.estimated_error - body.systematic) * over
-    systematic = body.systematic * over if body.is_bounded else np.inf
-    return level_interval(body.level_db, statistical, systematic)
+    statistical = body.accepted_error * over
+    more = body.estimated_error * over - statistical if body.is_bounded else np.inf
+    return level_interval(body.level_db, statistical, more)
 
 
 def level_interval(
@@ -101,16 +101,17 @@ def _shares(
     windows: tuple[str, ...],
     sent: float,
 ) -> tuple[float, float]:
-    """Errors of a detection's amplitude, relative to it: statistical and systematic."""
+    """Errors of a detection's amplitude, relative to it: the statistical one, and how much more it
+    is with the bound of what was left out, of paths with phases of their own.
+    """
     amplitude, bodies = np.sqrt(detection.power_w), capture.propagation.bodies
     if not capture.is_bounded or not amplitude > 0:
         return 0.0, np.inf
     found = errors_in_cell(bodies, detection, waveform, windows)
     is_bounded = all(body.is_bounded for body in bodies)
-    return (
-        float(sent * found.statistical / amplitude),
-        float(sent * found.systematic / amplitude) if is_bounded else np.inf,
-    )
+    both = float(np.hypot(found.statistical, found.systematic)) if is_bounded else np.inf
+    scale = sent / amplitude
+    return float(scale * found.statistical), float(scale * (both - found.statistical))
 
 
 def _intervals(

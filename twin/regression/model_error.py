@@ -90,8 +90,8 @@ def _drawn(echo: Propagation, rng: np.random.Generator) -> Propagation:
     for body in echo.bodies:
         members = [i for i, name in enumerate(echo.objects) if name in body.objects]
         own = first + np.flatnonzero(np.isin(number[first:], members))
-        statistical = (body.estimated_error - body.systematic) / TWO_SIDED_95
-        error = (statistical + body.systematic) * body.level_amplitude
+        statistical = body.accepted_error / TWO_SIDED_95
+        error = np.hypot(statistical, body.systematic) * body.level_amplitude
         if own.size and body.amplitude:
             amplitude[own] *= 1 + min(error / body.amplitude, 1.0) * _complex(rng, 1)
             amplitude[own] += error / np.sqrt(own.size) * _complex(rng, own.size)

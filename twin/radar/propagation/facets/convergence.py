@@ -7,6 +7,9 @@ and reflections within walls, are included. The median error is about half of th
 of neighbouring ray tubes and shadows are correlated, and what lies between the rays is not sampled
 at all. Therefore the estimate is three times the sum: 95 % of bodies' errors are within it. `python
 -m benchmarks radar_estimates` measures that on random scenes.
+
+What was left out takes other paths, with phases of their own: its bound and that estimate add by
+their squares.
 """
 
 from collections.abc import Iterable, Sequence
@@ -39,9 +42,9 @@ class BodyEcho:
     ``objects`` by name; ``level_db``: root mean square over the band, over that of the strongest
     body; ``estimated_error``: within which the error most likely is (95 % of bodies), relative to
     that root mean square, or to the least level that ``fidelity.radar_tolerance`` is relative to;
-    ``tolerance``: what was asked for; ``systematic``: share of the estimate that bounds what was
-    left out (`Propagation.decisions`); ``is_bounded``: whether that holds all that was left out,
-    which fixed knobs do without a bound. ``amplitude``, ``level_amplitude``: of the echo, and of
+    ``tolerance``: what was asked for; ``systematic``: the part of it that bounds what was left out
+    (`Propagation.decisions`); ``is_bounded``: whether that holds all that was left out, which fixed
+    knobs do without a bound. ``amplitude``, ``level_amplitude``: of the echo, and of
     the level that errors are relative to, received over sent. ``ranges_m``,
     ``range_rates_m_per_s``: least and most of its contributions; ``profile``: where between them
     echo and errors are.
@@ -71,10 +74,16 @@ class BodyEcho:
             return 1.0
         return max(self.level_amplitude / self.amplitude, 1.0)
 
+    @property
+    def accepted_error(self) -> float:
+        """The part of the estimate that is of what was computed; the other one is ``systematic``,
+        and both add by their squares.
+        """
+        return float(np.sqrt(max(self.estimated_error**2 - self.systematic**2, 0.0)))
+
     def off_by(self, more: float) -> "BodyEcho":
         """The same with an error of the model more, relative and independent of the others."""
-        systematic = float(np.hypot(self.systematic, more))
-        error = self.estimated_error - self.systematic + systematic
+        error, systematic = np.hypot([self.estimated_error, self.systematic], more).tolist()
         return replace(self, estimated_error=error, systematic=systematic)
 
     @property
@@ -200,7 +209,9 @@ def body_echoes(
         BodyEcho(
             objects=objects[i],
             level_db=float(20 * np.log10(level[i] / strongest)),
-            estimated_error=LEAST + WITHIN * float(error[i] / reference[i]) + float(systematic[i]),
+            estimated_error=float(
+                np.hypot(LEAST + WITHIN * error[i] / reference[i], systematic[i])
+            ),
             tolerance=tolerance,
             systematic=float(systematic[i]),
             amplitude=float(level[i]),
