@@ -111,6 +111,17 @@ def test_behind_a_plate_all_edges_and_corners_add_up(y, z) -> None:
     assert abs(echo(rectangle("plate", y, z)) - (1 - opening(y, z)) ** 2) < 0.01
 
 
+@pytest.mark.parametrize(("gap", "above"), [(1e-3, 0.0), (3e-3, 0.0), (3e-3, 3e-3)])
+def test_plates_whose_corners_nearly_touch_shade_as_two(gap: float, above: float) -> None:
+    """Diagonally, a mm or three apart: 0.7 were missing, since paths over one's edges were tried
+    where the other is.
+    """
+    sides = ((-0.2, -gap / 2), (-0.2, -above / 2)), ((gap / 2, 0.2), (above / 2, 0.2))
+    plates = [rectangle(f"plate {number}", *side) for number, side in enumerate(sides)]
+    due = (1 - sum(opening(*side) for side in sides)) ** 2
+    assert abs(echo(of_one_mesh(*plates)) - due) < 0.01
+
+
 def opening(y: tuple[float, float], z: tuple[float, float], near: float = 1 / 6 + 1 / 4) -> complex:
     """The field behind a hole in a screen, by Fresnel's integral; ``near``: the sum of the inverse
     distances on both sides.
