@@ -51,7 +51,7 @@ def main(n_frames: int, seed: int) -> None:
         begin_s, end_ns = number * frame_s, round(1e9 * (number + 1) * frame_s)
         while events and events[0].end_ns <= end_ns:
             event = events.pop(0)
-            record = bursts(event.number)
+            record = bursts(event.number).record
             for frame in frames(record, None):
                 pose, middle_ns = record.pose[0], frame.middle_ns
                 confirmed = tracks.update("/radar", frame.detections, middle_ns, pose)

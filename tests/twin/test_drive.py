@@ -10,6 +10,7 @@ import threading
 import time
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,8 @@ from hardware.records import RadarRecord, SpiRecord
 from twin.camera.mounting import devices
 from twin.camera.truth import render_truth
 from twin.cli import app
-from twin.drive import DeviceClock, Drive, drive
+from twin.drive import DeviceClock, Drive
+from twin.drive import drive as drive_by
 from twin.drive.log import MARKS, _Output
 from twin.drive.sensors import CameraFrames
 from twin.drive.truth import Mark, ObjectStates
@@ -44,6 +46,8 @@ CAMERA = load_system("workable").with_(
 )
 RADAR = load_radar("hybrid-79").with_({"waveform.n_slots": 16, "waveform.n_subcarriers": 128})
 FAST = Fidelity(samples=4, max_depth=1, radar="targets")
+#: In this process: others take seconds to start.
+drive = partial(drive_by, workers=0)
 CLOCKS = {"camera_clock": DeviceClock(2e-3, 50.0), "radar_clock": DeviceClock(-1e-3, -30.0)}
 
 
@@ -317,8 +321,8 @@ def test_the_world_moves_within_a_frame_where_that_is_asked_for() -> None:
         CameraFrames(plan(fidelity=knobs, system=slow, duration_s=2.0, radar=None))
         for knobs in (replace(fidelity, motion_tolerance=0.1), fidelity)
     )
-    moved = moving(0, 0).counts[:, 0]
-    early, late = (still(0, at_ns).counts[:, 0] for at_ns in (0, 1_275_000_000))
+    moved = moving(0, 0).record.counts[:, 0]
+    early, late = (still(0, at_ns).record.counts[:, 0] for at_ns in (0, 1_275_000_000))
     apart = np.abs(early - late).mean()
     assert np.abs(moved[:2] - early[:2]).mean() < 0.1 * apart
     assert np.abs(moved[-2:] - late[-2:]).mean() < 0.1 * apart
@@ -327,10 +331,10 @@ def test_the_world_moves_within_a_frame_where_that_is_asked_for() -> None:
 def test_frame_k_depends_on_seed_and_k_alone(whole: Path) -> None:
     third = [r.record for r in read_records(whole) if isinstance(r.record, SpiRecord)][2]
     event = [e for e in plan().events() if e.kind == "camera"][2]
-    alone = CameraFrames(plan())(2, event.begin_ns)
+    alone = CameraFrames(plan())(2, event.begin_ns).record
     np.testing.assert_array_equal(alone.counts, third.counts)
     np.testing.assert_array_equal(alone.device_time_ns, third.device_time_ns)
-    other = CameraFrames(plan(seed=4))(2, event.begin_ns)
+    other = CameraFrames(plan(seed=4))(2, event.begin_ns).record
     assert (other.counts != third.counts).any()
 
 
@@ -456,9 +460,9 @@ def test_the_vehicle_processes_the_log_and_reads_no_truth(whole: Path, tmp_path:
 def test_a_world_at_rest_is_rendered_once_and_its_noise_is_new(tmp_path: Path) -> None:
     still = plan(scene=load_scene("table1"), radar=None)
     frames = CameraFrames(still)
-    first, second = (frames(k, 0) for k in (0, 1))
+    first, second = (frames(k, 0).record for k in (0, 1))
     assert (first.counts != second.counts).any()
-    np.testing.assert_array_equal(CameraFrames(still)(1, 0).counts, second.counts)
+    np.testing.assert_array_equal(CameraFrames(still)(1, 0).record.counts, second.counts)
     assert drive(still, tmp_path / "still.mcap").complete
 
 
@@ -468,7 +472,7 @@ def test_a_world_at_rest_is_lit_by_the_sun_of_each_frame() -> None:
     sunlit = replace(scene, sun=replace(scene.sun, **dusk))
     hours = (0, 1, 2, 12)
     first, second, third, night = (
-        CameraFrames(plan(scene=sunlit, system=system, radar=None))(k, h * 3600 * 10**9)
+        CameraFrames(plan(scene=sunlit, system=system, radar=None))(k, h * 3600 * 10**9).record
         for k, h in enumerate(hours)
     )
     assert len({float(np.mean(x.counts)) for x in (first, second, third, night)}) == 4

@@ -14,7 +14,7 @@ from twin import cli
 from twin.errors import EngineError, InputError, TwinError
 from twin.serve.source import records
 from twin.sweep.inputs import ChangedError
-from twin.sweep.workers import SchedulerGoneError, WorkerDiedError
+from twin.workers import SchedulerGoneError, WorkerDiedError
 
 
 @pytest.mark.parametrize(

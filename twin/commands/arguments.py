@@ -59,6 +59,17 @@ MotionOption = Annotated[
 ]
 
 
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="A running Dask scheduler, tcp://HOST:PORT.")
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Processes; default one a core, as far as memory allows; 0: no other than this one."
+    ),
+]
+
+
 def named_knobs(motion_tolerance: str | None, radar_model: str | None) -> dict[str, Any]:
     """The knobs that `--motion-tolerance`, a number or ``none``, and `--radar-model` name.
 

@@ -11,8 +11,10 @@ from twin.commands.arguments import (
     FidelityOption,
     MotionOption,
     SceneArgument,
+    SchedulerOption,
     ToleranceOption,
     WithinOption,
+    WorkersOption,
     knobs_asked,
     named_knobs,
     only_one,
@@ -65,6 +67,8 @@ def drive(
     fidelity: FidelityOption = None,
     within: WithinOption = None,
     motion_tolerance: MotionOption = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
     """Drive a scene: records of both sensors and the truth in one log (MCAP), as `ugv process`
     reads it. The same command goes on with a drive that was cut short, to the same bytes.
@@ -131,7 +135,7 @@ def drive(
         radar_clock=clocks[1],
     )
     with asked_to_end() as over, progress_of(plan) as tell:
-        done = record(plan, out, over=over, tell=tell)
+        done = record(plan, out, workers=workers, scheduler=scheduler, over=over, tell=tell)
     if done.resumed:
         kept = "complete already" if done.complete and done.computed_s == 0 else "gone on with"
         say.line(f"{out}: {kept}, {done.resumed} events were there")

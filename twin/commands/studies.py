@@ -14,8 +14,10 @@ from twin.commands import console_of
 from twin.commands.arguments import (
     FidelityOption,
     SceneArgument,
+    SchedulerOption,
     ToleranceOption,
     WithinOption,
+    WorkersOption,
     knobs_for_scores,
     knobs_within,
     only_one,
@@ -38,10 +40,8 @@ def sweep(
     say: Output,
     study: Annotated[Path, typer.Argument(help="TOML file: what is varied, what is measured.")],
     out: Annotated[Path | None, typer.Option(help="Folder; default runs/NAME.")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="A running Dask scheduler, tcp://HOST:PORT.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; default one a core.")] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Agree to more than 1e7 points.")] = False,
     tolerance: ToleranceOption = None,
     fidelity: FidelityOption = None,

@@ -33,6 +33,11 @@ class Event:
     number: int = field(compare=False)
     begin_ns: int = field(compare=False)
 
+    @property
+    def middle_ns(self) -> int:
+        """Between beginning and end."""
+        return (self.begin_ns + self.end_ns) // 2
+
 
 @dataclass(frozen=True, eq=False)
 class Drive:

@@ -13,14 +13,15 @@ import numpy as np
 
 from hardware.recording import Log
 from twin.drive.log import DriveLog, words_of
+from twin.drive.measuring import in_order, pool_of
 from twin.drive.mounting import mounting_of
 from twin.drive.plan import Drive, Event
-from twin.drive.sensors import CameraFrames, RadarBursts
+from twin.drive.sensors import Measured
 from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
 from twin.drive.warning_counts import WarningCount, WarningCounts
-from twin.engine import return_freed_memory
 from twin.progress import interrupts
+from twin.workers import check_workers
 
 #: Called with the reference time that is recorded, s.
 Tell = Callable[[float], None]
@@ -52,6 +53,8 @@ def drive(
     plan: Drive,
     path: str | Path,
     *,
+    workers: int | None = None,
+    scheduler: str | None = None,
     over: threading.Event | None = None,
     tell: Tell = lambda reference_s: None,
 ) -> Driven:
@@ -59,11 +62,18 @@ def drive(
 
     A log that a kill, a full disk or ``over`` cut short is gone on with by the same call, and ends
     with the same bytes as one that was not; a complete one is left as it is. What was computed of
-    an event that is not whole is lost. Memory does not grow with the duration.
+    events that are not in the log is lost. Memory does not grow with the duration.
 
-    Raises InputError for a file at ``path`` that is not the log of this drive, and as `capture` and
-    `radar_capture`.
+    ``workers`` processes here compute frames and bursts, 0: this process itself, or those of a Dask
+    ``scheduler`` at this address; the bytes do not depend on it. By default one per core, as far as
+    memory allows, of a world that moves. Processes import the script that starts them: its work
+    belongs under ``if __name__ == "__main__"``.
+
+    Raises InputError for a file at ``path`` that is not the log of this drive, for fewer than 0
+    workers, and as `capture` and `radar_capture`; `WorkerDiedError` and `SchedulerGoneError`, after
+    which the same call goes on.
     """
+    check_workers(workers)
     path, over = Path(path), over or threading.Event()
     about = {
         "scene": plan.scene.name,
@@ -75,19 +85,24 @@ def drive(
         **words_of(plan.fidelity),
     }
     start, told = time.monotonic(), WarningCounts()
-    with DriveLog(path, about, sum(1 for _ in plan.events())) as log:
+    n_events = sum(1 for _ in plan.events())
+    with DriveLog(path, about, n_events) as log:
         resumed = log.events
         begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
         tell(begun_s)
         if not log.complete:
-            write = _writer(plan, told)
-            for event in islice(plan.events(), resumed, None):
-                if over.is_set() or interrupts:
-                    break
-                log.event(_mark(plan, event, log.events), write(event))
-                covered_s = 1e-9 * event.end_ns
-                tell(covered_s)
-            else:
+            write = _writer(plan)
+            n_left = sum(event.kind != "truth" for event in islice(plan.events(), resumed, None))
+            with pool_of(plan, n_left, scheduler, workers) as submit:
+                todo = islice(plan.events(), resumed, None)
+                is_over = lambda: over.is_set() or bool(interrupts)  # noqa: E731
+                for event, found in in_order(plan, todo, submit, is_over):
+                    log.event(_mark(plan, event, log.events), write(event, found))
+                    if found is not None:
+                        told.add(event.kind, found.warnings)
+                    covered_s = 1e-9 * event.end_ns
+                    tell(covered_s)
+            if log.events == n_events:
                 log.finish()
                 covered_s = plan.duration_s
         return Driven(
@@ -114,42 +129,37 @@ def _mark(plan: Drive, event: Event, number: int) -> Mark:
     return Mark(number, event.kind, event.number, event.begin_ns, event.end_ns, shown)
 
 
-def _writer(plan: Drive, told: WarningCounts) -> Callable[[Event], Callable[[Log], None]]:
-    """What writes the messages of an event."""
-    camera, radar, samples = CameraFrames(plan, told), RadarBursts(plan, told), TruthSamples(plan)
+def _writer(plan: Drive) -> Callable[[Event, Measured | None], Callable[[Log], None]]:
+    """What writes the messages of an event, given what its sensor measured."""
+    samples = TruthSamples(plan)
 
     def states(log: Log, found: Iterable[ObjectStates], at_ns: Sequence[int], log_ns: int) -> None:
         for state, stamp_ns in zip(found, at_ns, strict=True):
             log.message("/truth/objects", STATES, state.pack(stamp_ns), log_ns, stamp_ns)
 
-    def frame(log: Log, event: Event) -> None:
-        record = camera(event.number, event.begin_ns)
+    def frame(log: Log, event: Event, found: Measured) -> None:
         model = plan.camera_clock.model
-        log.record("/spi/record", record, host_ns=event.end_ns, clock=model)
+        log.record("/spi/record", found.record, host_ns=event.end_ns, clock=model)
         told = mounting_of(plan, event.begin_ns) if event.number == 0 else ()
         for topic, definition, message in told:
             log.message(topic, definition, message, event.end_ns, event.begin_ns)
-        middle_ns = (event.begin_ns + event.end_ns) // 2
-        for topic, (definition, message) in images_of(camera.truth(middle_ns), middle_ns).items():
-            log.message(topic, definition, message, event.end_ns, middle_ns)
-        at_ns = (event.begin_ns, middle_ns)
+        assert found.truth is not None
+        for topic, (definition, message) in images_of(found.truth, event.middle_ns).items():
+            log.message(topic, definition, message, event.end_ns, event.middle_ns)
+        at_ns = (event.begin_ns, event.middle_ns)
         states(log, ObjectStates.at(plan.scene, 1e-9 * np.array(at_ns)), at_ns, event.end_ns)
-        return_freed_memory()
 
-    def burst(log: Log, event: Event) -> None:
-        record, middle_ns = radar(event.number), plan.burst_ns(event.number)
-        model = plan.radar_clock.model
-        log.record("/radar/record", record, host_ns=event.end_ns, clock=model)
-        found = ObjectStates.at(plan.scene, 1e-9 * np.array([middle_ns]))
-        states(log, found, [middle_ns], event.end_ns)
-        return_freed_memory()
+    def burst(log: Log, event: Event, found: Measured) -> None:
+        middle_ns, model = plan.burst_ns(event.number), plan.radar_clock.model
+        log.record("/radar/record", found.record, host_ns=event.end_ns, clock=model)
+        at_s = 1e-9 * np.array([middle_ns])
+        states(log, ObjectStates.at(plan.scene, at_s), [middle_ns], event.end_ns)
 
-    def write(event: Event) -> Callable[[Log], None]:
-        if event.kind == "camera":
-            return lambda log: frame(log, event)
-        if event.kind == "radar":
-            return lambda log: burst(log, event)
-        return lambda log: states(log, [samples(event.number)], [event.end_ns], event.end_ns)
+    def write(event: Event, found: Measured | None) -> Callable[[Log], None]:
+        if found is None:
+            return lambda log: states(log, [samples(event.number)], [event.end_ns], event.end_ns)
+        one = frame if event.kind == "camera" else burst
+        return lambda log: one(log, event, found)
 
     return write
 

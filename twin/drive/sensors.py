@@ -1,6 +1,6 @@
 """What the sensors of a drive send: frame k of the camera, burst k of the radar."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +11,8 @@ from twin.camera.mounting import devices
 from twin.camera.still_world import StillWorld
 from twin.camera.stream import numbered
 from twin.camera.truth import Truth, render_truth
-from twin.drive.plan import Drive
-from twin.drive.warning_counts import WarningCounts
+from twin.drive.plan import Drive, Event
+from twin.engine import return_freed_memory
 from twin.radar import RadarEcho, radar_echo
 from twin.scene.mitsuba import mitsuba_scene
 from twin.warned import CaptureWarning
@@ -24,6 +24,34 @@ def seed_of(seed: int, sensor: int, number: int) -> int:
     return int(words[0]) << 31 | int(words[1]) >> 1
 
 
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a sensor sent, with warnings of it; of a camera's frame the ``truth`` of its middle."""
+
+    record: SpiRecord | RadarRecord
+    warnings: tuple[CaptureWarning, ...]
+    truth: Truth | None = None
+
+
+class Sensors:
+    """Both sensors of a drive. In a moving world what they measure depends on nothing that they
+    measured before.
+    """
+
+    def __init__(self, drive: Drive) -> None:
+        self._camera, self._radar = CameraFrames(drive), RadarBursts(drive)
+
+    def measured(self, event: Event) -> Measured:
+        """In an event of one of them."""
+        if event.kind == "camera":
+            found = self._camera(event.number, event.begin_ns)
+            found = replace(found, truth=self._camera.truth(event.middle_ns))
+        else:
+            found = self._radar(event.number)
+        return_freed_memory()
+        return found
+
+
 @dataclass(frozen=True)
 class CameraFrames:
     """The camera of a drive. A world at rest is rendered once, or as often as the sun's course
@@ -31,9 +59,8 @@ class CameraFrames:
     """
 
     drive: Drive
-    told: WarningCounts = field(default_factory=WarningCounts)
 
-    def __call__(self, number: int, begin_ns: int) -> SpiRecord:
+    def __call__(self, number: int, begin_ns: int) -> Measured:
         """Frame ``number``, which begins at a time of the reference, in device time."""
         drive, system = self.drive, self.drive.system
         assert system is not None
@@ -45,9 +72,8 @@ class CameraFrames:
             rng = np.random.default_rng(seed)
             world, light = self._still.at(1e-9 * begin_ns)
             taken = measure(world, system, light, rng=rng, noise=drive.fidelity.noise)
-        self.told.add("camera", taken.warnings)
         begin_ns = drive.camera_clock.after_start(0)
-        return numbered(taken.record, system, number, begin_ns)
+        return Measured(numbered(taken.record, system, number, begin_ns), taken.warnings)
 
     def truth(self, at_ns: int) -> Truth:
         """Albedo and depth of the virtual image at a time of the reference."""
@@ -69,21 +95,21 @@ class CameraFrames:
 class RadarBursts:
     """The radar of a drive. A world at rest is traced once, where that gives the same bits."""
 
-    def __init__(self, drive: Drive, told: WarningCounts | None = None) -> None:
-        self._drive, self._told = drive, told or WarningCounts()
+    def __init__(self, drive: Drive) -> None:
+        self._drive = drive
         self._still: RadarEcho | None = None
         self._warned: tuple[CaptureWarning, ...] = ()
 
-    def __call__(self, number: int) -> RadarRecord:
+    def __call__(self, number: int) -> Measured:
         """Burst ``number``, in device time; its pose is that of its middle."""
         drive, seed = self._drive, seed_of(self._drive.seed, 1, number)
         echo = self._echo(drive.burst_ns(number), seed)
         record = echo.record()
         if echo.bursts:
             self._warned = echo.warnings(record)
-        self._told.add("radar", self._warned)
         begin = drive.radar_clock.after_start(round(number * 1e9 * drive.radar_period_s))
-        return replace(record, device_time_ns=record.device_time_ns + begin)
+        record = replace(record, device_time_ns=record.device_time_ns + begin)
+        return Measured(record, self._warned)
 
     def _echo(self, middle_ns: int, seed: int) -> RadarEcho:
         drive = self._drive

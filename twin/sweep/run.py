@@ -24,17 +24,19 @@ from twin.sweep.dataset import labels, warned_points
 from twin.sweep.effects import check_points, without_effect
 from twin.sweep.evaluate import Chunk, evaluate_points, failed, in_one_line, joined
 from twin.sweep.inputs import Inputs, inputs_of
-from twin.sweep.names import is_own
+from twin.sweep.names import is_own, needs_radar
 from twin.sweep.refinement import coarse_study
 from twin.sweep.store import Points, Store, create_or_resume
 from twin.sweep.study import Study, load_study
-from twin.sweep.workers import (
+from twin.workers import (
     SchedulerGoneError,
     Submit,
     WorkerDiedError,
+    check_workers,
     dask,
     here,
     n_cores,
+    usual_workers,
 )
 
 #: Points in a run: what a kill loses at most, for each worker.
@@ -89,9 +91,9 @@ def run_sweep(
     scheduler
         Address of a running Dask scheduler, ``tcp://HOST:PORT``; default: processes here.
     workers
-        Processes here; default one per core; 0: this process itself. The results do not depend on
-        it. Processes import the script that starts them: its work belongs under
-        ``if __name__ == "__main__"``.
+        Processes here; default one per core, of studies with the radar as far as memory allows; 0:
+        this process itself. The results do not depend on it. Processes import the script that
+        starts them: its work belongs under ``if __name__ == "__main__"``.
     yes
         Agree to more than 1e7 points.
     fidelity
@@ -121,10 +123,10 @@ def run_sweep(
         study = with_accuracy(study, fidelity)
     if study.n_points > _MANY and not yes:
         raise InputError(f"{study.label}: {study.n_points} points; --yes to go ahead")
-    if workers is not None and workers < 0:
-        raise InputError(f"workers: {workers}: expected 0 or more")
+    check_workers(workers)
     closed = study.model == "closed-form"
-    n_workers = None if scheduler else max(1, n_cores() if workers is None else workers)
+    usual = usual_workers if needs_radar(study.metrics) else n_cores
+    n_workers = None if scheduler else max(1, usual() if workers is None else workers)
     check_out(out)
     out = folder_of(study, out)
     inputs = inputs_of(study)
@@ -139,7 +141,7 @@ def run_sweep(
         store.chosen_for("" if scores is None else str(scores))
         if any(True for _ in chain(store.todo(), store.to_refine())):
             local = scheduler is None and (workers == 0 or (closed and workers is None))
-            pool = here() if local else dask(scheduler, workers)
+            pool = here() if local else dask(scheduler, n_workers)
             try:
                 _compute(study, store, inputs, pool)
             except SchedulerGoneError as error:

@@ -4,12 +4,12 @@ import signal
 import subprocess
 import sys
 
-from twin.sweep.workers import dask
+from twin.workers import dask
 
 #: An end that closes nothing, as of a kill, with what a cluster holds meanwhile.
 ENDED_EARLY = """
 import multiprocessing, os
-from twin.sweep.workers import _local, _loop
+from twin.workers import _local, _loop
 
 if __name__ == "__main__":
     with _loop() as loop, _local(1, loop):

@@ -1,0 +1,189 @@
+"""A drive computed by several processes: the same bytes, in order, whatever happens to them."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hardware.errors import InputError
+from twin.child_process import attempt
+from twin.drive import Drive, drive, measuring
+from twin.drive.measuring import in_order, pool_of
+from twin.drive.sensors import Sensors
+from twin.fidelity import Fidelity
+from twin.motion.trajectory import through
+from twin.radar import load_radar
+from twin.scene import Scene, load_scene
+from twin.system import load_system
+from twin.workers import Submit, dask, here
+
+CAMERA = load_system("workable").with_(
+    {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
+)
+RADAR = load_radar("hybrid-79").with_({"waveform.n_slots": 16, "waveform.n_subcarriers": 128})
+FAST = Fidelity(samples=4, max_depth=1, radar="targets")
+
+
+def driven_scene() -> Scene:
+    """The patches of `table1` before a rig that drives at 5 m/s."""
+    scene, times = load_scene("table1"), np.linspace(0, 10, 5)
+    places = np.stack([5 * times, 0 * times, np.full(5, 1.2)], axis=1)
+    turned = Rotation.from_rotvec(np.zeros((5, 3)))
+    return replace(scene, rig=scene.rig.following(through(times, places, turned, "error")))
+
+
+def plan(**changes: object) -> Drive:
+    settings = {
+        "scene": driven_scene(),
+        "system": CAMERA,
+        "radar": RADAR,
+        "duration_s": 0.1,
+        "fidelity": FAST,
+        "radar_period_s": 0.02,
+        "truth_period_s": 0.01,
+        "seed": 3,
+    }
+    return Drive(**(settings | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The log of a drive that one process computed."""
+    path = tmp_path_factory.mktemp("drive") / "alone.mcap"
+    done = drive(plan(), path, workers=0)
+    assert done.complete
+    assert done.events == 7 + 5 + 11
+    return path.read_bytes()
+
+
+@pytest.mark.whole
+def test_two_processes_write_the_same_bytes(alone: bytes, tmp_path: Path) -> None:
+    """Also one after the other, and after one of them has been killed."""
+    path, over = tmp_path / "two.mcap", threading.Event()
+
+    def end_early(reference_s: float) -> None:
+        if reference_s > 0.03:
+            over.set()
+
+    stopped = drive(plan(), path, workers=2, over=over, tell=end_early)
+    assert not stopped.complete
+    assert 0 < stopped.events < 23
+    killed: list[int] = []
+
+    def kill_one(reference_s: float) -> None:
+        if reference_s > 0.05 and not killed:
+            children = psutil.Process().children(recursive=True)
+            worker = max(children, key=lambda child: child.memory_info().rss)
+            killed.append(worker.pid)
+            worker.kill()
+
+    done = drive(plan(), path, workers=2, tell=kill_one)
+    assert killed
+    assert done.complete
+    assert done.resumed == stopped.events
+    assert path.read_bytes() == alone
+
+
+@contextmanager
+def reversed_answers(sent: list[str], asked: list[int]) -> Iterator[Submit]:
+    """Work is done when it is asked for; three pieces ahead."""
+
+    def send(work, sensors, event):
+        sent.append(f"{event.kind} {event.number}")
+        return work, sensors, event
+
+    def result(handle):
+        asked.append(len(sent))
+        work, *given = handle
+        return work(*given)
+
+    yield Submit(send, result, 3)
+
+
+def test_events_come_in_order_and_few_are_computed_ahead() -> None:
+    sent: list[str] = []
+    asked: list[int] = []
+    drives = plan()
+    with reversed_answers(sent, asked) as submit:
+        found = list(in_order(drives, drives.events(), submit, lambda: False))
+    assert [event for event, _ in found] == list(drives.events())
+    assert all((one is None) == (event.kind == "truth") for event, one in found)
+    assert len(sent) == 12
+    # Of the measurements never more than three were under way.
+    assert max(n - k for k, n in enumerate(asked)) == 3
+
+
+def test_what_is_over_is_not_waited_for() -> None:
+    sent: list[str] = []
+    drives, over = plan(), threading.Event()
+    with reversed_answers(sent, []) as submit:
+        for count, _ in enumerate(in_order(drives, drives.events(), submit, over.is_set), 1):
+            if count == 4:
+                over.set()
+    assert count == 4
+    assert len(sent) < 12
+
+
+def test_an_error_is_raised_once_and_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an exception a scheduler would try it three times."""
+    calls: list[int] = []
+
+    def fail(*_: object) -> None:
+        calls.append(1)
+        raise InputError("scene.xml: no such wall")
+
+    monkeypatch.setattr(Sensors, "measured", fail)
+    drives = plan()
+    with here() as submit, pytest.raises(InputError, match=r"scene\.xml: no such wall"):
+        list(in_order(drives, drives.events(), submit, lambda: False))
+    assert calls == [1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "workers", "expected"),
+    [
+        ({}, None, 2),
+        ({}, 0, 0),
+        ({}, 1, 1),
+        ({"scene": load_scene("table1")}, None, 0),
+        ({"scene": load_scene("table1")}, 2, 2),
+        ({"duration_s": 0.025}, None, 0),
+    ],
+)
+def test_processes_are_started_where_they_pay(
+    changes: dict[str, object],
+    workers: int | None,
+    expected: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not for a few frames, nor where the world rests, unless asked for."""
+    monkeypatch.setattr(measuring, "usual_workers", lambda: 2)
+    monkeypatch.setattr(measuring, "dask", lambda scheduler, n: n)
+    monkeypatch.setattr(measuring, "here", lambda: 0)
+    drives = plan(**changes)
+    measured = sum(event.kind != "truth" for event in drives.events())
+    assert pool_of(drives, measured, None, workers) == expected
+
+
+def test_processes_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with pytest.raises(InputError, match="workers: -1: expected 0 or more"):
+        drive(plan(), path, workers=-1)
+    assert not path.exists()
+    with pytest.raises(InputError, match=r"scheduler: 'tcp://127\.0\.0\.1:1': can't be reached"):
+        drive(plan(), path, scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.whole
+def test_what_is_shared_is_sent_once() -> None:
+    large = np.arange(1000)
+    with dask(None, 1) as submit:
+        shared = submit.share(large)
+        found = [submit.result(submit(attempt, np.sum, shared)) for _ in range(2)]
+    assert found == [(499500, None)] * 2
