@@ -139,7 +139,7 @@ def _local(n: int, loop: Any) -> "LocalCluster":
     from distributed import LocalCluster
 
     # Dask has all freed memory handed back at once, and large arrays cost a page fault per page
-    # each time: a radar's frame takes half as long again.
+    # each time: a frame of the radar takes 1.4 times as long.
     environment = {n: v for n, v in dask.config.get(_ENVIRONMENT).items() if n != _TRIM}
     try:
         with dask.config.set({_ENVIRONMENT: environment}):

@@ -59,6 +59,20 @@ def test_what_the_vehicle_finds_wrong_is_the_twin_s_input_error() -> None:
             lambda: twin.radar_capture(twin.load_scene("yard"), "hybrid-79"),  # type: ignore[arg-type]
             "radar = 'hybrid-79': .*twin.load_radar",
         ),
+        (
+            lambda: twin.trace("yard", twin.load_radar("hybrid-79")),  # type: ignore[arg-type]
+            "scene = 'yard': .*twin.load_scene",
+        ),
+        (
+            lambda: twin.trace(twin.load_scene("yard"), None),  # type: ignore[arg-type]
+            "radar = None: .*twin.load_radar",
+        ),
+        (
+            lambda: twin.trace(
+                twin.load_scene("yard"), twin.load_radar("hybrid-79"), followed_s=float("nan")
+            ),
+            "followed_s: nan: expected a time",
+        ),
         (lambda: hardware.reconstruct("record.h5"), "record = 'record.h5': .*hardware.read_record"),  # type: ignore[arg-type]
         (lambda: hardware.process("radar.h5"), "expected a RadarRecord"),  # type: ignore[arg-type]
         (

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twin.errors import EngineError, InputError
+from twin.errors import EngineError, InputError, check_kind, check_seed
 from twin.fidelity import Accuracy, Fidelity, knobs_of, own_solver
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.facets.earlier import TracedFrame
@@ -156,10 +156,15 @@ def trace(
         For how long before and after its own instant the frame is followed: triangles are divided
         until they move as points for so long. Default: half a burst.
 
-    Raises InputError where a material that answers has no data at the carrier, where a user's own
-    model gives no echoes, and where ``earlier`` is no such frame; EngineError for echoes that are
-    no finite numbers.
+    Raises InputError for what is no scene, radar, seed or time, where a material that answers has
+    no data at the carrier, where a user's own model gives no echoes, and where ``earlier`` is no
+    such frame; EngineError for echoes that are no finite numbers.
     """
+    check_kind("scene", scene, Scene, "twin.load_scene")
+    check_kind("radar", radar, RadarDesign, "twin.load_radar")
+    check_seed(seed)
+    if followed_s is not None and not 0 <= followed_s < np.inf:
+        raise InputError(f"followed_s: {followed_s!r:.60}: expected a time from 0 s")
     knobs = knobs_of(fidelity, radar.total_bandwidth_hz)
     solver = solver_of(knobs)
     traced = _traced(earlier, radar, knobs, solver)
