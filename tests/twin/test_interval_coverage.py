@@ -196,6 +196,43 @@ def test_a_coarse_converters_noise_is_uncertain() -> None:
     assert np.max(fine.model_error.noise_systematic) < 0.05 * expected
 
 
+def test_a_coarse_converters_images_depend_on_the_suns_level(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """PSNR goes up and down by 6 dB within a step of the converter, to which the sun's light is
+    known here: each of eight levels' intervals holds the scores of all.
+    """
+    scene, system = still_yard(), small("workable", **{"readout.adc_bits": 11})
+    light = render(scene, system, fidelity=Fidelity(), seed=np.random.SeedSequence(0))
+    first = measure(scene, system, light, rng=np.random.default_rng(7), noise="gaussian")
+    step = first.model_error.uneven_step_w / first.background_w
+    unsure = np.full_like(light.sun, step * light.sun.sum() / np.sqrt(light.sun.size))
+
+    def scores() -> list[ScoreIntervals]:
+        found = []
+        for part in np.arange(8) / 8:
+            brighter = replace(light, sun=light.sun * (1 + part * step), sun_error=unsure)
+            rng = np.random.default_rng(7)
+            taken = measure(scene, system, brighter, rng=rng, noise="gaussian")
+            found.append(score_intervals(taken, hardware.reconstruct(taken.record, "lmmse")))
+        return found
+
+    def held(found: list[ScoreIntervals]) -> list[bool]:
+        return [
+            getattr(one, name).of_model.holds(getattr(other, name).value)
+            for one in found
+            for other in found
+            for name in ("psnr_db", "ssim")
+        ]
+
+    found = scores()
+    assert np.ptp([one.psnr_db.value for one in found]) > 4
+    assert all(held(found))
+    nothing = np.empty((0, 16, 16))
+    monkeypatch.setattr("twin.camera.intervals.pictures_of_other_light", lambda *_: nothing)
+    assert not all(held(scores()))
+
+
 def test_an_interval_that_is_too_narrow_is_found() -> None:
     """With a fifth of the stated errors fewer cells are within than asked, by far."""
     scene, system = still_yard(), small("workable")

@@ -23,6 +23,7 @@ from twin.camera.follows import Follows
 from twin.camera.noise_scatter import scatter_of_scores
 from twin.camera.score import in_words, psnr_db, similarities, similarity
 from twin.camera.snr_intervals import FEW, SEED, normal_draws, snr_interval
+from twin.camera.uneven_rounding import pictures_of_other_light
 
 Array = NDArray[np.float64]
 
@@ -144,7 +145,7 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
     peak, mean_square, error = _peak(capture), float(np.mean(off[known] ** 2)), off[known]
     change = 2 * float(np.linalg.norm(error * unfollowed)) / error.size
     shift = float(np.mean(unfollowed**2) + np.mean(2 * np.abs(error) * bound + bound**2))
-    noise = noise_interval(capture)
+    noise, elsewhere = noise_interval(capture), pictures_of_other_light(capture, image)
     statistical = (
         _in_db(peak.error),
         _in_db(change / mean_square) / 2,
@@ -156,6 +157,7 @@ def psnr_interval(capture: Capture, image: Reconstruction) -> Interval:
         _in_db(noise.systematic / noise.value),
         # In the image as more noise, which exact light would not have.
         10 * math.log10(1 + capture.model_error.scatter**2),
+        max((abs(psnr_db(truth, other) - value) for other in elsewhere), default=0.0),
     )
     scatter_db = scatter_of_scores(capture, image).psnr_db
     return Interval(value, float(np.linalg.norm(statistical)), float(sum(systematic)), scatter_db)
@@ -204,6 +206,10 @@ def ssim_interval(capture: Capture, image: Reconstruction) -> Interval:
     systematic = max(abs(further), abs(3 * further - still_further))
     systematic += abs(by_noise) * noise.systematic + abs(much_noisier - value)
     systematic += abs(at_bound - value) + abs(duller - value) + abs(brightest - value)
+    elsewhere = list(pictures_of_other_light(capture, image))
+    if elsewhere:
+        moved = similarities([truth] * len(elsewhere), elsewhere)
+        systematic += float(np.abs(moved - value).max())
     scatter = scatter_of_scores(capture, image).ssim
     return Interval(value, float(statistical), float(systematic), scatter)
 

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: Relative step for the slope of the noise over its causes.
 _STEP = 1e-3
+#: Relative error of the noise by uneven rounding from which on images differ with it.
+_UNEVEN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,9 @@ class ModelError:
     ``electrons_per_watt`` in an exposure. ``scatter``: root mean square of what light is off by
     from exposure to exposure, over their noise; of motion that is taken as still a bound, where it
     is above 1. ``of_exposures``: of cells in the exposures, electrons, (rows, columns), where their
-    light is of other paths than the truth; None where it is the same.
+    light is of other paths than the truth; None where it is the same. ``uneven_step_w``: of the
+    sun's light on a detector, W, that is a step of the converter, where other noise is so little
+    that what rounding does depends on where light lies between two steps; else 0.
     """
 
     noise: Array
@@ -43,6 +47,7 @@ class ModelError:
     electrons_per_watt: float
     scatter: float = 0.0
     of_exposures: Array | None = None
+    uneven_step_w: float = 0.0
 
 
 #: Of a capture that is told nothing else.
@@ -60,10 +65,12 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
     by_signal, by_background = _noise_slopes(chain, signal_w, power.sun_w)
     noise = np.hypot(by_signal * signal, by_background * background)
     noise_systematic = by_signal * signal_systematic + by_background * background_systematic
-    noise_systematic += _uneven_rounding(chain, signal_w, power.sun_w)
+    uneven, step_e = _uneven_rounding(chain, signal_w, power.sun_w)
+    noise_systematic += uneven
     noise_systematic += _unseen_sun(chain, signal_w, power)
     ones, n_detectors = np.ones_like(cells_w), len(power.sun_w)
     weight, open_share = _ratio(total_w, total_w.sum()), float(chain.open_share.mean())
+    per_watt = _electrons_per_watt(chain, signal_w, power)
     return ModelError(
         noise=side_by_side(noise[:, None] * ones, system),
         noise_systematic=side_by_side(noise_systematic[:, None] * ones, system),
@@ -71,7 +78,8 @@ def model_error(chain: Chain, power: Powers, signal_w: Array) -> ModelError:
         signal_systematic=float(weight @ signal_systematic),
         background_w=open_share * float(np.linalg.norm(power.sun_error_w)) / n_detectors,
         background_systematic_w=open_share * float(power.sun_left_out_w.mean()),
-        electrons_per_watt=_electrons_per_watt(chain, signal_w, power),
+        electrons_per_watt=per_watt,
+        uneven_step_w=step_e / per_watt if per_watt and uneven.max() > _UNEVEN else 0.0,
     )
 
 
@@ -111,18 +119,19 @@ def _unseen_sun(chain: Chain, signal_w: Array, power: Powers) -> Array:
     return np.where(power.sun_w > 0, 0.0, _ratio(beside - without, without))
 
 
-def _uneven_rounding(chain: Chain, signal_w: Array, sun_w: Array) -> Array:
+def _uneven_rounding(chain: Chain, signal_w: Array, sun_w: Array) -> tuple[Array, float]:
     """Relative error of each detector's noise where other noise is less than the converter's step:
     the part of rounding's error that follows from where light lies between two steps may be nothing
-    or twice its mean for light a little other.
+    or twice its mean for light a little other. And the largest step, electrons.
     """
-    found = []
+    found, step_e = [], 0.0
     for budget in chain.noise_by_detector(signal_w, sun_w):
         total, rounding = budget.total_noise_e, budget.noise_e.get("quantisation", 0.0)
         other = math.sqrt(max(total**2 - rounding**2, 0.0))
         share = settled_share(other / rounding) if rounding else 0.0
         found.append(share * (rounding / total) ** 2 / 2 if total else 0.0)
-    return np.array(found)
+        step_e = max(step_e, math.sqrt(12) * rounding)
+    return np.array(found), step_e
 
 
 def _ratio(part: Array, whole: Array | float) -> Array:

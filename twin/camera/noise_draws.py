@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,17 @@ class NoiseDraws:
         """`N_DRAWS` records that differ from the frame's in noise alone; none without any."""
         return tuple(self._drawn()) if self.has_noise else ()
 
+    def in_more_sun(self, more_w: float) -> Measurements:
+        """What reconstructions take of a record with more sunlight on each detector."""
+        rng = np.random.default_rng(self.seed)
+        sun_w = (
+            self._power.sun_by_exposure(self._chain.patterns)
+            if self._sun_w is None
+            else self._sun_w
+        )
+        record = self._record_of(rng, np.maximum(sun_w + more_w, 0.0))
+        return measurements(with_level(record.received))
+
     @cached_read_only
     def measured(self) -> tuple[Measurements, ...]:
         """What reconstructions take of those records: of a scan, the echoes of each."""
@@ -67,9 +79,15 @@ class NoiseDraws:
 
     def _drawn(self) -> Iterator[SpiRecord]:
         rng = np.random.default_rng(self.seed)
-        mean_w = self._chain.mean_signal(self._power) if self._mean_w is None else self._mean_w
         for _ in range(N_DRAWS):
-            _, counts, flags = self._chain.measure_frame(
-                self._power, rng=rng, noise=self._noise, mean_w=mean_w, sun_w=self._sun_w
-            )
-            yield replace(self._record, counts=counts, flags=flags)
+            yield self._record_of(rng, self._sun_w)
+
+    def _record_of(self, rng: np.random.Generator, sun_w: Array | None) -> SpiRecord:
+        _, counts, flags = self._chain.measure_frame(
+            self._power, rng=rng, noise=self._noise, mean_w=self._mean, sun_w=sun_w
+        )
+        return replace(self._record, counts=counts, flags=flags)
+
+    @cached_property
+    def _mean(self) -> Array:
+        return self._chain.mean_signal(self._power) if self._mean_w is None else self._mean_w

@@ -110,9 +110,11 @@ def _cube(_: dict[str, Any]) -> Geometry:
 def _sphere(properties: dict[str, Any]) -> Geometry:
     import trimesh
 
-    ball = trimesh.creation.icosphere(5, radius=properties.get("radius", 1.0))
+    ball = trimesh.creation.icosphere(5)
+    # As large from all sides in the mean (Cauchy), where corners on the sphere lose 3e-4 of it.
+    radius = properties.get("radius", 1.0) * np.sqrt(4 * np.pi / ball.area)
     center = np.array(properties.get("center", (0, 0, 0)), dtype=np.float64).ravel()
-    return Geometry(np.asarray(ball.vertices) + center, ball.faces)
+    return Geometry(radius * np.asarray(ball.vertices) + center, ball.faces)
 
 
 def _cylinder(properties: dict[str, Any]) -> Geometry:
@@ -123,8 +125,12 @@ def _cylinder(properties: dict[str, Any]) -> Geometry:
     axis = (p1 - p0) / np.linalg.norm(p1 - p0)
     u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     u /= np.linalg.norm(u)
-    ring = properties.get("radius", 1.0) * (
-        np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(axis, u)
+    # As wide from all sides in the mean as the circle, by its circumference.
+    half = np.pi / _SEGMENTS
+    ring = (
+        properties.get("radius", 1.0)
+        * (half / np.sin(half))
+        * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(axis, u))
     )
     i = np.arange(_SEGMENTS, dtype=np.int32)
     j = (i + 1) % _SEGMENTS
@@ -135,8 +141,10 @@ def _cylinder(properties: dict[str, Any]) -> Geometry:
 
 
 def _disk(_: dict[str, Any]) -> Geometry:
+    """Of the circle's area."""
     angle = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
-    rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_SEGMENTS)])
+    radius = np.sqrt(angle[1] / np.sin(angle[1]))
+    rim = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_SEGMENTS)])
     i = np.arange(_SEGMENTS, dtype=np.int32)
     faces = np.column_stack([np.full(_SEGMENTS, _SEGMENTS), i, (i + 1) % _SEGMENTS])
     return Geometry(np.vstack([rim, np.zeros(3)]), faces)
