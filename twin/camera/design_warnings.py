@@ -118,6 +118,8 @@ def _no_light(
         )
     elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
         text = "no light of the emitter comes back: the air transmits none"
+    elif not scene_e.any() and np.isfinite(depth_m).any():
+        text = "no light of the emitter comes back: what is in the field of view reflects none"
     elif not scene_e.any():
         text = "no light of the emitter comes back: nothing in the field of view"
     else:

@@ -23,6 +23,7 @@ from twin.regression.runs import (
     Method,
     RadarDetector,
     SeedResults,
+    WrongResultError,
     image_method,
     in_turn,
     radar_detector,
@@ -234,7 +235,13 @@ class Regression:
     ) -> tuple[Verdict, ...]:
         """Compare with the baseline, or make a new one where there is none to compare with."""
         __tracebackhide__ = True
-        outcome = comparison.run(comparison.seeds)
+        fault, outcome = "", None
+        try:
+            outcome = comparison.run(comparison.seeds)
+        except WrongResultError as error:
+            fault = str(error)
+        if outcome is None:
+            _fail(fault)
         path, picture = self._path(stem), self.pictures / f"{stem}.png"
         if baseline is None:
             self._update(comparison, outcome, path)

@@ -39,6 +39,10 @@ _NOISE_DRAWS = 4  # of which the noise beside echoes is the mean, of some 50 cel
 RadarDetector = str | Callable[..., Any]
 
 
+class WrongResultError(InputError):
+    """A method or detector gives something else than it should."""
+
+
 @dataclass(frozen=True, eq=False)
 class SeedResults:
     """Figures by metric, (n_seeds,) each, with the first seed's truth and every seed's result.
@@ -175,16 +179,20 @@ def run_camera(
 def _checked(image: Any, shape: tuple[int, ...]) -> Array:
     expected = f"expected real numbers, {shape}"
     if np.ma.isMaskedArray(image):
-        raise InputError(f"method: gave a masked array, whose mask no metric knows; {expected}")
+        raise WrongResultError(
+            f"method: gave a masked array, whose mask no metric knows; {expected}"
+        )
     try:
         array = np.asarray(image)
     except ValueError as error:  # lists of unequal lengths
-        raise InputError(f"method: gave a {type(image).__name__}: {error}; {expected}") from error
+        raise WrongResultError(
+            f"method: gave a {type(image).__name__}: {error}; {expected}"
+        ) from error
     if array.ndim == 0 or array.dtype.kind not in "fiu":
         what = f"an image of {array.dtype}" if array.ndim else f"a {type(image).__name__}"
-        raise InputError(f"method: gave {what}, {expected}")
+        raise WrongResultError(f"method: gave {what}, {expected}")
     if array.shape != shape:
-        raise InputError(f"method: gave an image {array.shape}, expected {shape}")
+        raise WrongResultError(f"method: gave an image {array.shape}, expected {shape}")
     return array.astype(np.float64)
 
 
@@ -263,11 +271,11 @@ def repeated(
 
 def _detections(found: Any) -> tuple[Detection, ...]:
     if not isinstance(found, Iterable):
-        raise InputError(f"detector: gave a {type(found).__name__}, expected detections")
+        raise WrongResultError(f"detector: gave a {type(found).__name__}, expected detections")
     detections = tuple(found)
     for one in detections:
         if not isinstance(one, Detection):
-            raise InputError(
+            raise WrongResultError(
                 f"detector: gave a {type(one).__name__}, expected hardware's Detection"
             )
     return detections

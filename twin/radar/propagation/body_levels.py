@@ -83,14 +83,14 @@ class BodyLevels:
         return level
 
     def with_edges(self, edges: Contributions, wave: OfdmWaveform) -> "BodyLevels":
-        """The same with the echoes of ``edges`` for bodies whose surfaces return nothing."""
-        silent: NDArray[np.bool_] = ~np.asarray(self.echo.any(axis=1))
-        owner = self.of_object[edges.object]
-        owner = np.where((owner >= 0) & silent[owner], owner, -1)
-        count = len(self.names)
-        echo = summed_by(owner, count, edges, wave.carrier_hz, band_of(wave))
-        spans = np.where(silent[:, None, None], spans_by(owner, count, edges), self.spans)
-        return replace(self, echo=self.echo + echo, spans=spans)
+        """The same with the echoes of sharp edges."""
+        owner, count = self.of_object[edges.object], len(self.names)
+        echo = self.echo + summed_by(owner, count, edges, wave.carrier_hz, band_of(wave))
+        reference = reference_levels(echo, self.tolerance, self.floor)
+        more = spans_by(owner, count, edges)
+        nearest, farthest = np.moveaxis(np.stack([self.spans, more]), -1, 0)
+        spans = np.stack([nearest.min(axis=0), farthest.max(axis=0)], axis=-1)
+        return replace(self, echo=echo, reference=reference, spans=spans)
 
 
 def body_levels(

@@ -75,6 +75,14 @@ def on_edges(
     return tuple(decisions)
 
 
+def on_two_edges(
+    objects: Sequence[tuple[str, ...]], left_out: Array, permitted: float
+) -> tuple[Decision, ...]:
+    """Decisions on waves over two edges of bodies, and at their corners, which are not computed."""
+    effect = "waves over two edges, and at corners, of"
+    return _on_waves(effect, objects, left_out, permitted, math.nan)
+
+
 def on_reflections(
     choice: ReflectionChoice,
     kinds: Sequence[str],

@@ -20,6 +20,7 @@ from twin.radar.propagation.effects_by_bounds import (
     faint_bodies,
     further_reflections,
     mirror_borders,
+    over_two_edges,
     round_obstacles,
     sharp_edges,
 )
@@ -147,7 +148,10 @@ def echoes(
         [*mirrors[0], *points[0]], Contributions.concatenate([mirrors[1], points[1]])
     )
     unbounded = _unbounded(fidelity, prepared)
+    left_out *= levels.reference
     levels = levels.with_edges(of_edges, radar.ofdm)
+    of_two_edges, missing = over_two_edges(levels, radar, of_edges)
+    left_out = np.hypot(left_out / levels.reference, missing)
     loss = loss_of(radar)
     profiles = levels.profiles(
         Contributions.concatenate([surfaces, of_edges]), of_bodies.by_range.times(loss), radar.ofdm
@@ -184,7 +188,7 @@ def echoes(
         ),
         objects=tuple(item.name for item in prepared.items),
         bodies=bodies,
-        decisions=tuple(decisions),
+        decisions=(*decisions, *of_two_edges),
         traced=of_bodies.traced,
         reused_share=of_bodies.reused_share,
     )

@@ -52,10 +52,11 @@ class Sight:
         length = np.linalg.norm(segment, axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             direction = np.nan_to_num(segment / length[:, None])
-        start = begin + direction * 4e-6 * (np.abs(begin).max(axis=1, keepdims=True) + 1)
+        off = 4e-6 * (np.abs(begin).max(axis=1) + 1)
+        start = begin + off[:, None] * direction
         ray = mi.Ray3f(vector(mi, start, "Point3f"), vector(mi, direction, "Vector3f"))
         first_patch, distance = _first_hits(mi, self.world, self.patch_of_face, ray)
-        clear = distance >= (length * (1 - 1e-4)).astype(np.float32)
+        clear = distance >= ((length - off) * (1 - 1e-4)).astype(np.float32)
         if of_wall.any():
             assert self.walls is not None
             behind = _first_hits(mi, self.walls.mesh, self.walls.patch_of_face, ray)[0]
