@@ -138,4 +138,4 @@ def test_errors_along_a_border_are_to_the_same_side(tolerance: float) -> None:
     found = echoes_by_body(propagation, (body.objects,), case.radar, band)[0]
     error = np.sqrt(np.mean(np.abs(found - true) ** 2)) / body.level_amplitude
     assert 0.005 < error < 1.25 * body.estimated_error
-    assert body.estimated_error < 1.5 * tolerance
+    assert body.accepted_error < 1.5 * tolerance  # its edges add to what is stated

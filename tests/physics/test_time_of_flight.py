@@ -284,7 +284,7 @@ def test_the_camera_measures_distance_by_gates(tmp_path: Path, pulse_ns: int) ->
         (
             "pulse_width_s = 2e-6\npulse_rate_hz = 1e6\ngate_width_s = 1e-8\n"
             "gate_delays_s = [0.0]\n",
-            "pulse_width_s is longer than the time between pulses",
+            "pulse_width_s = 2e-06: expected at most the time between pulses",
         ),
     ],
 )

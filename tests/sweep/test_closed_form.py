@@ -164,7 +164,7 @@ def test_a_time_that_is_too_long_in_every_point_is_refused_by_the_files_name(
     text = '[set]\n"system.acquisition.integration_time_s" = "1 ms"\n' + AT_5_M
     path, wanted = (
         write(tmp_path, text, ALL),
-        "integration_time_s is longer than pattern_period_s = ",
+        "expected at most pattern_period_s = ",
     )
     with pytest.raises(InputError, match=f"study.toml: no point can be set up: .*{wanted}"):
         run_sweep(path, out=tmp_path / "out")

@@ -50,9 +50,11 @@ class Acquisition(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> "Acquisition":
-        if self.integration_time_s.value > self.pattern_period_s.value:
-            period_s = self.pattern_period_s.value
-            raise InputError(f"integration_time_s is longer than pattern_period_s = {period_s:g}")
+        time_s, period_s = self.integration_time_s.value, self.pattern_period_s.value
+        if time_s > period_s:
+            raise InputError(
+                f"integration_time_s = {time_s:g}: expected at most pattern_period_s = {period_s:g}"
+            )
         return self
 
     def residue(self, tau_s: float) -> float:
@@ -141,7 +143,10 @@ class TimeOfFlight(Strict):
         for name in ("pulse_width_s", "gate_width_s"):
             width = getattr(self, name)
             if width and self.pulse_rate_hz and width.value * self.pulse_rate_hz.value > 1:
-                raise InputError(f"{name} is longer than the time between pulses")
+                raise InputError(
+                    f"{name} = {width.value:g}: expected at most the time between pulses, "
+                    f"{1 / self.pulse_rate_hz.value:g} s"
+                )
         if self.gate_delays_s and self.gate_width_s and self.pulse_rate_hz:
             last = max(self.gate_delays_s.value) + self.gate_width_s.value
             if last * self.pulse_rate_hz.value > 1 + 1e-9:
