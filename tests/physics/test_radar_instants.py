@@ -352,7 +352,7 @@ def test_what_reflections_change_by_is_stated_and_warned_of(size_m: float, yaw_d
     assert off > 0.2
     assert off <= body.estimated_error < 3 * off
     assert body.estimated_error - body.systematic < off
-    assert any("with reflections the echo of d" in line for line in found.warnings)
+    assert any("reflections included, the echo of d" in line for line in found.warnings)
     assert not any("direct echo of d" in line for line in found.warnings)
 
 

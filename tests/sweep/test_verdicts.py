@@ -156,8 +156,11 @@ def test_failed_points_end_in_their_reasons_and_status_1(
     assert status([1e-6, 1.0, 2.0]) == 1
     done = capsys.readouterr()
     assert "3 points, 2 failed" in done.out
-    which = "failed: 2 points, the first 1: system.acquisition.integration_time_s = 1 s: InputError"
-    assert f"{which}: system: acquisition: integration_time_s is longer" in done.err
+    for point, time_s in ((1, 1), (2, 2)):
+        name = "acquisition.integration_time_s"
+        which = f"failed: 1 point, the first {point}: system.{name} = {time_s} s: InputError"
+        told = f"{which}: system: acquisition: integration_time_s = {time_s}: expected at most"
+        assert told in done.err
     assert "Traceback" not in done.err
     assert status([1e-6, 2e-6]) == 0
 

@@ -103,7 +103,10 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
             r"acquisition\.order\.value = 'random': Input should be 'natural', .* 'raster'$",
         ),
         ("[acquisition]\norder = 'custom'", r"acquisition\.order: 'custom' needs the rows .*masks"),
-        ("[acquisition]\nintegration_time_s = 1.0", "longer than pattern_period_s"),
+        (
+            "[acquisition]\nintegration_time_s = 1.0",
+            "integration_time_s = 1: expected at most pattern_period_s",
+        ),
         ("[detector]\nwidth_m = 'wide'", r"detector\.width_m = 'wide'"),
         ("[detector]\nwidth_m = { value = 1e-3 }", "needs either `source` or `assumed`"),
         ("[detector", "no valid TOML"),

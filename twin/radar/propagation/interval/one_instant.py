@@ -190,7 +190,7 @@ def _told(
             by_reflections.append(f"the echo of {name} by {of_echo(float(both), faint)}")
     if by_reflections:
         remarks.append(
-            f"motion within an interval changes with reflections {', '.join(by_reflections)} "
+            f"motion within an interval changes, reflections included, {', '.join(by_reflections)} "
             f"beyond delays, which is left out; {percent(permitted)} % permitted; the stated "
             f"errors contain it: {_HOW}"
         )
