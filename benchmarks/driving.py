@@ -7,6 +7,7 @@ default`` with all that `twin drive` does by default, without kills: frames of 6
 bursts a second to a tolerance of 0.2.
 """
 
+import contextlib
 import hashlib
 import os
 import random
@@ -19,6 +20,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import psutil
 
 _SCENE, _DURATION_S, _KILLS, _RADAR_PERIOD_S = "crossing", 60.0, 10, 20.0
 _SYSTEM = """
@@ -86,7 +89,8 @@ def by_default(duration_s: float) -> Iterator[tuple[str, float, str]]:
 
 @dataclass
 class _Run:
-    """A process that drives into a log, in a group of its own, and its resident memory over time.
+    """A process that drives into a log, in a group of its own, and its resident memory over time,
+    with that of the processes that it starts.
 
     Raises RuntimeError where it fails.
     """
@@ -131,14 +135,22 @@ class _Run:
     def _goes_on(self) -> bool:
         """Whether it does, after a look at its memory and a wait."""
         if self._process.poll() is None:
-            pages = Path(f"/proc/{self._process.pid}/statm").read_text().split()
-            self.memory_mb.append(int(pages[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6)
+            self.memory_mb.append(_resident_mb(psutil.Process(self._process.pid)))
             self.took_s = time.monotonic() - self._begun
             time.sleep(_LOOK_S)
             return True
         if self._process.returncode:
             raise RuntimeError(f"{self.path}: the drive ended with {self._process.returncode}")
         return False
+
+
+def _resident_mb(process: psutil.Process) -> float:
+    """Of a process and those that it started."""
+    total = 0
+    for one in (process, *process.children(recursive=True)):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            total += one.memory_info().rss
+    return total / 1e6
 
 
 def _digest(path: Path) -> str:
