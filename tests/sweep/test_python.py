@@ -164,6 +164,12 @@ def test_objects_are_where_they_belong(tmp_path: Path) -> None:
 def test_what_no_study_can_be_is_the_projects_error() -> None:
     with pytest.raises(InputError, match="metrics: 'nope' is unknown"):
         Study(name="s", metrics=["nope"])
+    with pytest.raises(
+        InputError, match="metrics: 'snr' is unknown; it belongs to model = \"closed"
+    ):
+        Study(name="s", metrics=["snr"])
+    with pytest.raises(InputError, match="'psnr_db' is unknown; it belongs to model = \"rendered"):
+        Study(name="s", model="closed-form", metrics=["psnr_db"])
     with pytest.raises(InputError, match="name: missing; metrics: missing"):
         Study()
     assert Study(name="s", metrics=["psnr_db"], seed=1e6).seed == 10**6

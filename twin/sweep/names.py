@@ -115,6 +115,9 @@ def check_metrics(metrics: tuple[str, ...], model: str) -> None:
             continue
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}? There are" if near else "expected"
+        if not is_own(name):
+            other = "closed-form" if model == "rendered" else "rendered"
+            hint = f'it belongs to model = "{other}"; there are'
         raise InputError(f"metrics: {name!r} is unknown; {hint} {', '.join(known)}")
     if len(set(metrics)) != len(metrics):
         raise InputError("metrics: a name stands twice")
