@@ -15,13 +15,14 @@ from hardware.errors import InputError
 from twin.child_process import attempt
 from twin.drive import Drive, drive, measuring
 from twin.drive.measuring import in_order, pool_of
-from twin.drive.sensors import Sensors
+from twin.drive.plan import Event
+from twin.drive.sensors import Measured, Sensors
 from twin.fidelity import Fidelity
 from twin.motion.trajectory import through
 from twin.radar import load_radar
 from twin.scene import Scene, load_scene
 from twin.system import load_system
-from twin.workers import Submit, dask, here
+from twin.workers import Submit, WorkerDiedError, dask, here
 
 CAMERA = load_system("workable").with_(
     {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
@@ -123,11 +124,28 @@ def test_what_is_over_is_not_waited_for() -> None:
     sent: list[str] = []
     drives, over = plan(), threading.Event()
     with reversed_answers(sent, []) as submit:
-        for count, _ in enumerate(in_order(drives, drives.events(), submit, over.is_set), 1):
-            if count == 4:
-                over.set()
-    assert count == 4
-    assert len(sent) < 12
+        found = in_order(drives, drives.events(), submit, over.is_set)
+        first = next(one for one in found if one[1] is not None)
+        over.set()
+        rest = [one for one in found if one[1] is not None]
+    assert first[1] is not None
+    assert rest == []
+    assert len(sent) == 3
+
+
+def test_what_is_computed_when_it_ends_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one process the signal comes while an event is computed: that one is written."""
+    over, measured = threading.Event(), Sensors.measured
+
+    def interrupted(self: Sensors, event: Event) -> Measured:
+        over.set()
+        return measured(self, event)
+
+    monkeypatch.setattr(Sensors, "measured", interrupted)
+    drives = plan()
+    with here() as submit:
+        found = [one for _, one in in_order(drives, drives.events(), submit, over.is_set)]
+    assert sum(one is not None for one in found) == 1
 
 
 def test_an_error_is_raised_once_and_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,6 +161,31 @@ def test_an_error_is_raised_once_and_as_it_is(monkeypatch: pytest.MonkeyPatch) -
     with here() as submit, pytest.raises(InputError, match=r"scene\.xml: no such wall"):
         list(in_order(drives, drives.events(), submit, lambda: False))
     assert calls == [1]
+
+
+def test_where_processes_are_gone_the_drive_says_how_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: bytes
+) -> None:
+    """Their death loses nothing that is in the log."""
+    path = tmp_path / "run.mcap"
+
+    @contextmanager
+    def dies_at_the_fourth(*_: object) -> Iterator[Submit]:
+        answers = iter(range(3))
+
+        def result(handle):
+            if next(answers, None) is None:
+                raise WorkerDiedError("the worker's process died")
+            return handle
+
+        yield Submit(lambda work, *given: work(*given), result, 1)
+
+    monkeypatch.setattr(measuring, "dask", dies_at_the_fourth)
+    told = r"died; 6 of 23 events are in .*run\.mcap, the same command continues it"
+    with pytest.raises(WorkerDiedError, match=told):
+        drive(plan(), path, workers=2)
+    assert drive(plan(), path, workers=0).resumed == 6
+    assert path.read_bytes() == alone
 
 
 @pytest.mark.parametrize(

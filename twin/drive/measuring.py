@@ -30,20 +30,20 @@ def pool_of(
 def in_order(
     plan: Drive, events: Iterable[Event], submit: Submit, is_over: Callable[[], bool]
 ) -> Iterator[tuple[Event, Measured | None]]:
-    """Events as they come, each with what its sensor measured, until it ``is_over``; never more
-    than a few are computed ahead.
+    """Events as they come, each with what its sensor measured; never more than a few are computed
+    ahead. When it ``is_over``, the one that is waited for is the last that is measured.
 
     Raises what capturing does.
     """
     sensors, waiting = submit.share(Sensors(plan)), deque[tuple[Event, Any]]()
     n_ahead = 0
     for event in events:
+        if is_over():
+            return
         is_measured = event.kind != "truth"
         waiting.append((event, submit(_measured, sensors, event) if is_measured else None))
         n_ahead += is_measured
         while n_ahead >= submit.ahead or (waiting and waiting[0][1] is None):
-            if is_over():
-                return
             n_ahead -= waiting[0][1] is not None
             yield _answered(submit, *waiting.popleft())
     while waiting and not is_over():

@@ -21,7 +21,7 @@ from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
 from twin.drive.warning_counts import WarningCount, WarningCounts
 from twin.progress import interrupts
-from twin.workers import check_workers
+from twin.workers import SchedulerGoneError, WorkerDiedError, check_workers
 
 #: Called with the reference time that is recorded, s.
 Tell = Callable[[float], None]
@@ -93,7 +93,10 @@ def drive(
         if not log.complete:
             write = _writer(plan)
             n_left = sum(event.kind != "truth" for event in islice(plan.events(), resumed, None))
-            with pool_of(plan, n_left, scheduler, workers) as submit:
+            with (
+                _told_where_it_stands(log, n_events),
+                pool_of(plan, n_left, scheduler, workers) as submit,
+            ):
                 todo = islice(plan.events(), resumed, None)
                 is_over = lambda: over.is_set() or bool(interrupts)  # noqa: E731
                 for event, found in in_order(plan, todo, submit, is_over):
@@ -115,6 +118,16 @@ def drive(
             complete=log.complete,
             warned=told.counts,
         )
+
+
+@contextmanager
+def _told_where_it_stands(log: DriveLog, n_events: int) -> Iterator[None]:
+    """Errors of processes that are gone, with what is done and how it goes on."""
+    try:
+        yield
+    except (SchedulerGoneError, WorkerDiedError) as error:
+        stands = f"{log.events} of {n_events} events are in {log.path}"
+        raise type(error)(f"{error}; {stands}, the same command continues it") from error
 
 
 def _end_of(plan: Drive, n_events: int) -> float:
