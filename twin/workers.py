@@ -86,7 +86,7 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
         Client(cluster, set_as_default=False) as client,
     ):
         send, share = partial(_send, client, _on_threads, threads), partial(_share, client)
-        yield Submit(send, _result, _AHEAD * n, share)
+        yield Submit(send, _result_of_local, _AHEAD * n, share)
 
 
 def check_workers(workers: int | None) -> None:
@@ -226,6 +226,16 @@ def _result(future: Any, timeout_s: float | None = None) -> Any:
         return future.result(timeout=timeout_s)
     except KilledWorker as error:
         raise WorkerDiedError("the worker's process died") from error
+
+
+def _result_of_local(future: Any) -> Any:
+    """What is shared dies with the last process that holds it, and so does work that needs it."""
+    from distributed import CancelledError
+
+    try:
+        return _result(future)
+    except CancelledError as error:
+        raise SchedulerGoneError("all processes have died") from error
 
 
 def _share(client: Any, value: Any) -> Any:

@@ -23,6 +23,7 @@ from hardware.processing import process
 from hardware.radar.process import frames
 from hardware.recording import Log, read_messages, read_records, recover
 from hardware.records import RadarRecord, SpiRecord
+from tests.twin.driven import CAMERA, FAST, driven_scene, plan
 from twin.camera.mounting import devices
 from twin.camera.truth import render_truth
 from twin.cli import app
@@ -32,48 +33,13 @@ from twin.drive.log import MARKS, _Output
 from twin.drive.sensors import CameraFrames
 from twin.drive.truth import Mark, ObjectStates
 from twin.drive.truth_samples import TruthSamples
-from twin.fidelity import Fidelity
-from twin.motion.trajectory import through
 from twin.radar import load_radar
 from twin.scene import Scene, Target, load_scene
 from twin.scene.boxes import boxes_of
 from twin.scene.mitsuba import mitsuba_scene
-from twin.system import load_system
 
-#: Frames of 12.8 ms and bursts of 0.6 ms, rendered and traced in a moment.
-CAMERA = load_system("workable").with_(
-    {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
-)
-RADAR = load_radar("hybrid-79").with_({"waveform.n_slots": 16, "waveform.n_subcarriers": 128})
-FAST = Fidelity(samples=4, max_depth=1, radar="targets")
 #: In this process: others take seconds to start.
 drive = partial(drive_by, workers=0)
-CLOCKS = {"camera_clock": DeviceClock(2e-3, 50.0), "radar_clock": DeviceClock(-1e-3, -30.0)}
-
-
-def driven_scene(until_s: float = 10.0) -> Scene:
-    """The patches of `table1` before a rig that drives at 5 m/s and turns left."""
-    scene = load_scene("table1")
-    times = np.linspace(0, until_s, 5)
-    places = np.stack([5 * times, 0.1 * times**2, np.full(5, 1.2)], axis=1)
-    turned = Rotation.from_rotvec(np.outer(0.05 * times, [0, 0, 1]))
-    rig = scene.rig.following(through(times, places, turned, "error"))
-    return replace(scene, rig=rig)
-
-
-def plan(**changes: object) -> Drive:
-    settings = {
-        "scene": driven_scene(),
-        "system": CAMERA,
-        "radar": RADAR,
-        "duration_s": 0.045,
-        "fidelity": FAST,
-        "radar_period_s": 0.02,
-        "truth_period_s": 0.01,
-        "seed": 3,
-        **CLOCKS,
-    }
-    return Drive(**(settings | changes))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

@@ -3,54 +3,25 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from scipy.spatial.transform import Rotation
 
 from hardware.errors import InputError
+from tests.twin import driven
 from twin.child_process import attempt
-from twin.drive import Drive, drive, measuring
+from twin.drive import DeviceClock, drive, measuring
 from twin.drive.measuring import in_order, pool_of
 from twin.drive.plan import Event
 from twin.drive.sensors import Measured, Sensors
-from twin.fidelity import Fidelity
-from twin.motion.trajectory import through
-from twin.radar import load_radar
-from twin.scene import Scene, load_scene
-from twin.system import load_system
-from twin.workers import Submit, WorkerDiedError, dask, here
+from twin.scene import load_scene
+from twin.workers import SchedulerGoneError, Submit, WorkerDiedError, dask, here
 
-CAMERA = load_system("workable").with_(
-    {"emitter.rows": 8, "emitter.columns": 8, "acquisition.n_patterns": 64}
-)
-RADAR = load_radar("hybrid-79").with_({"waveform.n_slots": 16, "waveform.n_subcarriers": 128})
-FAST = Fidelity(samples=4, max_depth=1, radar="targets")
-
-
-def driven_scene() -> Scene:
-    """The patches of `table1` before a rig that drives at 5 m/s."""
-    scene, times = load_scene("table1"), np.linspace(0, 10, 5)
-    places = np.stack([5 * times, 0 * times, np.full(5, 1.2)], axis=1)
-    turned = Rotation.from_rotvec(np.zeros((5, 3)))
-    return replace(scene, rig=scene.rig.following(through(times, places, turned, "error")))
-
-
-def plan(**changes: object) -> Drive:
-    settings = {
-        "scene": driven_scene(),
-        "system": CAMERA,
-        "radar": RADAR,
-        "duration_s": 0.1,
-        "fidelity": FAST,
-        "radar_period_s": 0.02,
-        "truth_period_s": 0.01,
-        "seed": 3,
-    }
-    return Drive(**(settings | changes))  # type: ignore[arg-type]
+#: Seven frames and five bursts.
+plan = partial(driven.plan, duration_s=0.1, **dict.fromkeys(driven.CLOCKS, DeviceClock()))
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +32,29 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     assert done.complete
     assert done.events == 7 + 5 + 11
     return path.read_bytes()
+
+
+class Killer:
+    """Kills one of the processes that compute, after half of a drive."""
+
+    def __init__(self) -> None:
+        self._is_done = False
+
+    def __call__(self, reference_s: float) -> None:
+        if reference_s > 0.05 and not self._is_done:
+            children = psutil.Process().children(recursive=True)
+            max(children, key=lambda child: child.memory_info().rss).kill()
+            self._is_done = True
+
+
+@pytest.mark.whole
+def test_where_the_only_process_is_killed_a_line_says_so(alone: bytes, tmp_path: Path) -> None:
+    """What it held is lost: as an error of the scheduler's own it was a stack trace."""
+    path = tmp_path / "run.mcap"
+    with pytest.raises(SchedulerGoneError, match=r"all processes have died; \d+ of 23 events are"):
+        drive(plan(), path, workers=1, tell=Killer())
+    assert drive(plan(), path, workers=0).complete
+    assert path.read_bytes() == alone
 
 
 @pytest.mark.whole
@@ -75,17 +69,7 @@ def test_two_processes_write_the_same_bytes(alone: bytes, tmp_path: Path) -> Non
     stopped = drive(plan(), path, workers=2, over=over, tell=end_early)
     assert not stopped.complete
     assert 0 < stopped.events < 23
-    killed: list[int] = []
-
-    def kill_one(reference_s: float) -> None:
-        if reference_s > 0.05 and not killed:
-            children = psutil.Process().children(recursive=True)
-            worker = max(children, key=lambda child: child.memory_info().rss)
-            killed.append(worker.pid)
-            worker.kill()
-
-    done = drive(plan(), path, workers=2, tell=kill_one)
-    assert killed
+    done = drive(plan(), path, workers=2, tell=Killer())
     assert done.complete
     assert done.resumed == stopped.events
     assert path.read_bytes() == alone

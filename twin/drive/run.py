@@ -84,6 +84,10 @@ def drive(
         "digest": plan.digest,
         **words_of(plan.fidelity),
     }
+
+    def is_over() -> bool:
+        return over.is_set() or bool(interrupts)
+
     start, told = time.monotonic(), WarningCounts()
     n_events = sum(1 for _ in plan.events())
     with DriveLog(path, about, n_events) as log:
@@ -98,7 +102,6 @@ def drive(
                 pool_of(plan, n_left, scheduler, workers) as submit,
             ):
                 todo = islice(plan.events(), resumed, None)
-                is_over = lambda: over.is_set() or bool(interrupts)  # noqa: E731
                 for event, found in in_order(plan, todo, submit, is_over):
                     log.event(_mark(plan, event, log.events), write(event, found))
                     if found is not None:
