@@ -1,5 +1,7 @@
 """A drive computed by several processes: the same bytes, in order, whatever happens to them."""
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -205,6 +207,16 @@ def test_processes_that_cannot_be_are_refused(tmp_path: Path) -> None:
     assert not path.exists()
     with pytest.raises(InputError, match=r"scheduler: 'tcp://127\.0\.0\.1:1': can't be reached"):
         drive(plan(), path, scheduler="tcp://127.0.0.1:1")
+
+
+def test_a_scheduler_that_is_no_address_is_one_line(tmp_path: Path) -> None:
+    """Dask's client had added a stack trace of its own, 20 s later."""
+    options = ["--duration", "1 s", "--out", str(tmp_path / "run.mcap"), "--scheduler", "nonsense"]
+    command = [sys.executable, "-m", "twin", "drive", "yard", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("twin: error: scheduler: 'nonsense': can't be reached (missing port")
 
 
 @pytest.mark.whole
