@@ -67,13 +67,13 @@ def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
     Raises InputError where a scheduler can't be reached, or has no workers for a minute.
     """
     from distributed import Client
-    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.addressing import get_address_host
     from distributed.utils import silence_logging_cmgr
 
     if scheduler is not None:
         try:
             # A client that fails at this tells of it once more when it is thrown away.
-            parse_host_port(parse_address(scheduler)[1])
+            get_address_host(scheduler)
             client = Client(scheduler, timeout="10s", set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
