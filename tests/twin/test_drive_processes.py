@@ -37,16 +37,22 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 class Killer:
-    """Kills one of the processes that compute, after half of a drive."""
+    """Kills one of the processes that compute, after half of a drive: one that was started since,
+    for other tests keep a cluster.
+    """
 
     def __init__(self) -> None:
-        self._is_done = False
+        self._others, self._is_done = _children(), False
 
     def __call__(self, reference_s: float) -> None:
         if reference_s > 0.05 and not self._is_done:
-            children = psutil.Process().children(recursive=True)
-            max(children, key=lambda child: child.memory_info().rss).kill()
+            computing = _children() - self._others
+            max(computing, key=lambda child: child.memory_info().rss).kill()
             self._is_done = True
+
+
+def _children() -> set[psutil.Process]:
+    return set(psutil.Process().children(recursive=True))
 
 
 @pytest.mark.whole
