@@ -100,7 +100,7 @@ def test_systems_build_on_files_beside_them(tmp_path: Path) -> None:
         ("[acquisition]\nn_patterns = 0", r"acquisition\.n_patterns\.value = 0"),
         (
             "[acquisition]\norder = 'random'",
-            r"acquisition\.order\.value = 'random': Input should be 'natural', .* 'raster'$",
+            r"acquisition\.order\.value = 'random': expected 'natural', .* 'raster'$",
         ),
         ("[acquisition]\norder = 'custom'", r"acquisition\.order: 'custom' needs the rows .*masks"),
         (
