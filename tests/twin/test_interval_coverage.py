@@ -21,6 +21,7 @@ from twin.camera.acquisition import Capture, measure
 from twin.camera.intervals import ScoreIntervals, capture_intervals, score_intervals
 from twin.camera.light import render
 from twin.camera.snr_intervals import snr_errors
+from twin.camera.verdict import LIT
 from twin.detector.noise import settled_share
 from twin.fidelity import Fidelity
 from twin.radar import RadarDesign, load_radar, radar_capture
@@ -177,6 +178,31 @@ def test_cells_that_may_be_lit_are_in_the_medians_interval() -> None:
     # Where none may be, as outside a gate, they make the interval no wider.
     gated = replace(without, light_systematic_e=0 * faint_e)
     assert capture_intervals(gated).snr_median.half_width < 0.5 * found.half_width
+
+
+@pytest.mark.parametrize(("here", "there"), [(1.3, 0.7), (0.7, 1.3)])
+def test_cells_about_as_bright_as_lit_ones_are_in_the_medians_interval(
+    here: float, there: float
+) -> None:
+    """A third of the cells as bright as the least that is lit, to within their errors: the median
+    was that of all cells, or of the others, and nothing was stated of it.
+    """
+    taken = captured(still_yard(), small("workable"), Fidelity(samples=64), 0)
+    faint = np.zeros(taken.cells_e.shape, dtype=bool)
+    faint[:6] = taken.lit[:6]
+    least_e = LIT * taken.scene_e[~faint].max()
+
+    def as_bright(share: float) -> Capture:
+        return replace(
+            taken,
+            cells_e=np.where(faint, share * least_e, taken.cells_e),
+            snr=np.where(faint, 1e-9 * taken.snr, taken.snr),
+            cells_error_e=np.where(faint, 0.4 * least_e, taken.cells_error_e),
+        )
+
+    found, true = (capture_intervals(as_bright(share)).snr_median for share in (here, there))
+    assert abs(true.value - found.value) > 0.05 * found.value
+    assert found.of_model.holds(true.value)
 
 
 def test_a_coarse_converters_noise_is_uncertain() -> None:

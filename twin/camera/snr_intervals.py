@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from twin.accuracy import Interval
+from twin.accuracy.interval import TWO_SIDED_95
 from twin.camera.acquisition import Capture
 from twin.camera.verdict import LIT
 
@@ -45,7 +46,7 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
     Errors that are drawn to SNRs that have errors already shift a median as those have shifted it
     from the true one, where they are as large as stated. Stated errors of single cells are bounds
     on the safe side; the median's are taken no larger than neighbouring cells let them be. Cells
-    with a surface in which no light was found, and may be some, count among the lit ones or not.
+    with a surface that may have enough light to be lit, or not, count among the lit ones or not.
     """
     lit = capture.lit
     if capture.void or not lit.any():
@@ -72,18 +73,20 @@ def snr_interval(capture: Capture, quantity: Literal["median", "best", "above 1"
     else:
         systematic = np.inf
     systematic += skewed
-    if n_more := _perhaps_lit(capture, lit):
-        systematic += abs(float(value(np.append(snr, np.zeros(n_more)))) - here)
+    n_more, is_sure = _perhaps_lit(capture, lit)
+    others = [np.append(snr, np.zeros(n_more)), snr[is_sure[lit]]]
+    systematic += max(abs(float(value(each)) - here) for each in others if each.size)
     return Interval(here, FEW * float(drawn.std(ddof=1)), systematic)
 
 
-def _perhaps_lit(capture: Capture, lit: Lit) -> int:
-    """Number of cells with a surface that exact light might light: in them light was left out, or
-    no path has found any.
+def _perhaps_lit(capture: Capture, lit: Lit) -> tuple[int, Lit]:
+    """Number of cells with a surface that exact light might light, as where light was left out or
+    no path has found any; and which of the lit ones it lights for sure.
     """
-    most = capture.cells_error_e + capture.light_systematic_e
-    might = most > LIT * capture.scene_e.max(initial=0.0)
-    return int(np.count_nonzero(~lit & might & (capture.truth.albedo > 0)))
+    light, least = capture.scene_e, LIT * capture.scene_e.max(initial=0.0)
+    off = TWO_SIDED_95 * capture.cells_error_e + capture.light_systematic_e
+    might = ~lit & (light + off > least) & (capture.truth.albedo > 0)
+    return int(np.count_nonzero(might)), lit & (light - off > least)
 
 
 def _share_seen(snr: Array, error: Array, lit: Lit) -> float:
