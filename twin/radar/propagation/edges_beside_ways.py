@@ -1,5 +1,6 @@
-"""Ways to bodies that edges of obstacles stand beside: which of those over mirrors or by several
-reflections are followed round the edges, and what these may change of the others.
+"""Ways to bodies that edges stand beside, of obstacles or borders of mirrors: which of those over
+mirrors or by several reflections are followed round the edges, and what these may change of the
+others.
 """
 
 from dataclasses import replace
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.body_levels import BodyLevels
-from twin.radar.propagation.decisions import Decided, on_edges_beside
+from twin.radar.propagation.decisions import Decided, on_edges_beside, on_mirror_borders
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES, levels_beside
-from twin.radar.propagation.diffraction.over_mirrors import points_of
+from twin.radar.propagation.diffraction.blocking import PAST_MIRROR
+from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import some_facets
 from twin.radar.propagation.diffraction.views import View
@@ -35,6 +37,9 @@ _MOST_REFLECTIONS = 1  # at mirrors, on ways that are followed round obstacles
 #: Share of a body up to which others hide it before what they leave of its echo over mirrors tells
 #: how much edges may change.
 _MOST_HIDDEN = 0.5
+#: Past a mirror's border facets may meet the border's waves, from aside, at right angles, and echo
+#: as many times as much as those that are lit.
+_PAST = 10.0
 _MOST_WAYS = 16  # over mirrors, that are followed: some 0.15 s each
 _PLACES = 16  # on a body that is hidden, about, to which waves over edges are looked for
 
@@ -117,17 +122,21 @@ def _changes_of_lit(
     obstacles: Screens,
     few: list[int],
 ) -> dict[MirroredWay, float]:
-    """What waves over edges may change of single reflections at bodies by each pair of a ``few``
-    images, one of them at least in a mirror, relative.
+    """What waves over edges and borders may change of single reflections at bodies by each pair of
+    a ``few`` images, one of them at least in a mirror, relative.
     """
     images = _images_of(lit)
     single = (lit.bounces == 1) & (images[1] > 0) & np.isin(images, few).all(axis=0)
     some, images = lit.take(np.flatnonzero(single)), images[:, single]
-    changed = _changed(prepared, fidelity, levels, some, obstacles)
+    parts = (
+        _changed(prepared, fidelity, levels, some, obstacles),
+        _changed_by_borders(prepared, levels, some),
+    )
     changes: dict[MirroredWay, float] = {}
     for one, other in np.unique(images, axis=1).T.tolist():
         by_these = np.flatnonzero((images[0] == one) & (images[1] == other))
-        change = levels.rms_of(changed.take(by_these), radar) / levels.reference
+        level = np.hypot(*(levels.rms_of(changed.take(by_these), radar) for changed in parts))
+        change = level / levels.reference
         changes |= {(body, one, other): float(c) for body, c in enumerate(change)}
     return changes
 
@@ -149,18 +158,21 @@ def _hidden_ways(
         one, other = seen[i], seen[j]
         if not (one.is_lit and other.is_lit):
             change = (1 if i == j else 2) * one.level * other.level * one.field * other.field
+            change *= _PAST if one.is_past or other.is_past else 1.0
             ways[body, i, j] = change / direct**2
     return ways
 
 
 class _Seen(NamedTuple):
     """A body as an image sees it: whether it is lit for the most part; if it is not, the field of
-    the waves over edges there, over the straight one, rms; and the level of what mirrors reflect.
+    the waves over edges there, over the straight one, rms; the level of what mirrors reflect; and
+    whether it is past the border of the image's only mirror.
     """
 
     is_lit: bool
     field: float
     level: float
+    is_past: bool = False
 
     @staticmethod
     def of(view: View, body: int) -> "_Seen":
@@ -177,7 +189,8 @@ class _Seen(NamedTuple):
         own, context = np.full(len(places), body), view.obstacles.prepared.context
         found = all_paths_to_points(context, view.obstacles, view.number, places, off, own)
         field = found.field(view.straight(places, off), view.obstacles.wavenumber)
-        return _Seen(False, float(np.sqrt(np.mean(np.abs(field) ** 2))), level)
+        past = (view.first_met(places, off) == PAST_MIRROR).any()
+        return _Seen(False, float(np.sqrt(np.mean(np.abs(field) ** 2))), level, bool(past))
 
 
 def edges_beside(
@@ -197,13 +210,10 @@ def edges_beside(
     nothing = np.zeros(len(levels.names))
     if fidelity.radar_shadowed is not None or obstacles is None:
         return (), nothing
-    images, body = _images_of(lit), levels.of_object[lit.object]
-    sizes = len(nothing), len(prepared.images), len(prepared.images)
-    ways = np.array(mirrored.ways, dtype=np.int64).reshape(-1, 3).T
-    own, those = (np.ravel_multi_index(way, sizes) for way in ((body, *images), tuple(ways)))
-    is_single = np.isin(own, those)
-    is_direct = images[1] == 0
-    is_followed = np.where(lit.bounces == 1, is_single | is_direct, followed[body] & is_direct)
+    is_direct = _images_of(lit)[1] == 0
+    is_followed = _are_mirrored(prepared, levels, lit, mirrored) | (
+        is_direct & ((lit.bounces == 1) | followed[levels.of_object[lit.object]])
+    )
     if is_followed.all() and not mirrored.hidden.any():
         return (), nothing
     began_s = perf_counter()
@@ -212,6 +222,39 @@ def edges_beside(
     left_out = np.hypot(levels.rms_of(changed, radar) / levels.reference, mirrored.hidden)
     cost_s = perf_counter() - began_s
     return on_edges_beside(levels.names, left_out, levels.permitted, cost_s), left_out
+
+
+def mirror_borders(
+    prepared: PreparedScene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    levels: BodyLevels,
+    lit: Contributions,
+    mirrored: MirroredWays,
+) -> Decided:
+    """What waves over the borders of mirrors may change of echoes over these on other than
+    ``mirrored`` ways, which is left out.
+    """
+    nothing = np.zeros(len(levels.names))
+    is_left_out = (_images_of(lit)[1] > 0) & ~_are_mirrored(prepared, levels, lit, mirrored)
+    if fidelity.radar_shadowed is not None or not is_left_out.any():
+        return (), nothing
+    began_s = perf_counter()
+    changed = _changed_by_borders(prepared, levels, lit.take(np.flatnonzero(is_left_out)))
+    left_out = levels.rms_of(changed, radar) / levels.reference
+    cost_s = perf_counter() - began_s
+    return on_mirror_borders(levels.names, left_out, levels.permitted, cost_s), left_out
+
+
+def _are_mirrored(
+    prepared: PreparedScene, levels: BodyLevels, lit: Contributions, mirrored: MirroredWays
+) -> NDArray[np.bool_]:
+    """Which echoes are single reflections by ways over mirrors that are followed, (n,)."""
+    sizes = len(levels.names), len(prepared.images), len(prepared.images)
+    own = levels.of_object[lit.object], *_images_of(lit)
+    ways = tuple(np.array(mirrored.ways, dtype=np.int64).reshape(-1, 3).T)
+    number, some = (np.ravel_multi_index(way, sizes) for way in (own, ways))
+    return np.asarray(np.isin(number, some) & (lit.bounces == 1))
 
 
 def _images_of(echoes: Contributions) -> Indices:
@@ -242,3 +285,14 @@ def _changed(
     waves = levels_beside(followed, list(pairs), points)
     out, back = waves[number.reshape(2, -1)]
     return replace(some, amplitude=some.amplitude * ((1 + out) * (1 + back) - 1))
+
+
+def _changed_by_borders(
+    prepared: PreparedScene, levels: BodyLevels, some: Contributions
+) -> Contributions:
+    """What waves over the borders of mirrors may change of some echoes."""
+    images = np.unique(np.concatenate([some.source, some.receiver]))
+    waves = border_levels(prepared, levels.of_object, len(levels.names), images)
+    body = levels.of_object[some.object]
+    changed = (1 + waves[body, some.source]) * (1 + waves[body, some.receiver]) - 1
+    return replace(some, amplitude=some.amplitude * changed)

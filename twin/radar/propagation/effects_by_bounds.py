@@ -1,7 +1,6 @@
 """Effects that are taken or left out by bounds of what they add to each body's echo.
 
-Sharp edges, waves round obstacles and over the borders of mirrors, further reflections, and bodies
-to which no path is traced.
+Sharp edges, waves round obstacles, further reflections, and bodies to which no path is traced.
 """
 
 from collections.abc import Sequence
@@ -21,13 +20,11 @@ from twin.radar.propagation.decisions import (
     on_corners,
     on_edges,
     on_faint_bodies,
-    on_mirror_borders,
     on_reflections,
     on_round_obstacles,
     on_two_edges,
 )
 from twin.radar.propagation.diffraction.behind_obstacles import Accepted
-from twin.radar.propagation.diffraction.over_mirrors import border_levels
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.edges_beside_ways import MirroredWay
 from twin.radar.propagation.facets.reflections import ReflectionChoice
@@ -127,30 +124,6 @@ def round_obstacles(
         perf_counter() - began_s,
         most is None,
     )
-
-
-def mirror_borders(
-    prepared: PreparedScene,
-    radar: RadarDesign,
-    fidelity: Fidelity,
-    levels: BodyLevels,
-    lit: Contributions,
-) -> Decided:
-    """What waves over the borders of mirrors may change of echoes over these, which is left out."""
-    nothing = np.zeros(len(levels.names))
-    rows = np.flatnonzero((lit.source > 0) | (lit.receiver > 0))
-    if fidelity.radar_shadowed is not None or not len(rows):
-        return (), nothing
-    began_s = perf_counter()
-    over = lit.take(rows)
-    images = np.unique(np.concatenate([over.source, over.receiver]))
-    waves = border_levels(prepared, levels.of_object, len(nothing), images)
-    body = levels.of_object[over.object]
-    changed = (1 + waves[body, over.source]) * (1 + waves[body, over.receiver]) - 1
-    level = levels.rms_of(replace(over, amplitude=over.amplitude * changed), radar)
-    left_out = level / levels.reference
-    cost_s = perf_counter() - began_s
-    return on_mirror_borders(levels.names, left_out, levels.permitted, cost_s), left_out
 
 
 def corners(

@@ -14,12 +14,16 @@ from twin.radar.propagation.corner_echoes import corner_echoes
 from twin.radar.propagation.diffraction.corners import longest_m
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens, screens
-from twin.radar.propagation.edges_beside_ways import edges_beside, mirrored_ways, worth_following
+from twin.radar.propagation.edges_beside_ways import (
+    edges_beside,
+    mirror_borders,
+    mirrored_ways,
+    worth_following,
+)
 from twin.radar.propagation.effects_by_bounds import (
     corners,
     faint_bodies,
     further_reflections,
-    mirror_borders,
     over_two_edges,
     round_obstacles,
     sharp_edges,
@@ -130,7 +134,7 @@ def echoes(
         edges_beside(
             prepared, radar, fidelity, levels, lit, of_corners.bodies, mirrored, obstacles
         ),
-        mirror_borders(prepared, radar, fidelity, levels, lit),
+        mirror_borders(prepared, radar, fidelity, levels, lit, mirrored),
     ):
         decisions += decided
         left_out = np.hypot(left_out, missing)  # by other paths each, of phases of their own

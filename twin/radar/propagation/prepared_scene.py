@@ -26,7 +26,7 @@ from twin.radar.propagation.scene.culling import (
     shares,
     worth_tracing,
 )
-from twin.radar.propagation.scene.image_search import Sight, closed, images
+from twin.radar.propagation.scene.image_search import MANY_IMAGES, Sight, closed, images
 from twin.radar.propagation.scene.images import Image
 from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene, anchor_of, flats, mesher
@@ -44,6 +44,10 @@ from twin.scene import Scene, SceneObject, Target
 from twin.scene.boxes import boxes_of, distances_m
 
 Array = NDArray[np.float64]
+
+#: Of waves over the border of an only mirror, down to which bodies are looked for past it; in
+#: cities none are.
+_PAST_BORDERS = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +271,11 @@ def _culled(
             for item, role in zip(prepared.items, prepared.roles, strict=True)
         ]
     )
-    antennas = image_antennas_of(prepared.all_images, prepared.flats, prepared.axes[0], beam)
+    found, flats, more_m = prepared.all_images, prepared.flats, 0.0
+    if len(found) <= MANY_IMAGES:
+        # By how much longer the path of the faintest is: its amplitude is 1 / (2 sqrt(pi q)).
+        more_m = prepared.wavelength_m / (2 * np.pi) / (4 * np.pi * _PAST_BORDERS**2)
+    antennas = image_antennas_of(found, flats, prepared.axes[0], beam, more_m)
     boxes = boxes_of([prepared.items[i] for i in numbers]) - prepared.anchor_m
     share = shares(antennas, boxes, prepared.flats, beam)
     traced = worth_tracing(share, limit / 2)

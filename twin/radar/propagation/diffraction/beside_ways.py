@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.propagation.diffraction.mirror_borders import between_mirrors
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadow_bounds import change_beside
-from twin.radar.propagation.diffraction.views import are_beside, between_mirrors
+from twin.radar.propagation.diffraction.views import are_beside
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.scene.images import Image, mirrored
 
@@ -66,7 +67,7 @@ def _on_leg(obstacles: Screens, image: Image, leg: int, body: int, points: Array
                 for item in members
             ]
         )
-        rim = between_mirrors(obstacles, image, leg, rim)
+        rim = between_mirrors(prepared, image, leg, rim)
         if len(rim.ends):
             square += change_beside(rim, direct, obstacles.wavenumber) ** 2
     return square

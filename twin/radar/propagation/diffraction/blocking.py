@@ -13,12 +13,22 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _NEXT_TO = 1e-5  # of a segment, that rays leave out where it ends
-NOTHING, _NO_WAY = -1, -2  # instead of the number of an object that blocks a path
+#: Instead of the number of an object that blocks a path; and where the path goes past the border of
+#: its mirror.
+NOTHING, NO_WAY, PAST_MIRROR = -1, -2, -3
 
 
-def folded(prepared: PreparedScene, image: Image, level: int, places: Array, stops: Array) -> Array:
+def folded(
+    prepared: PreparedScene,
+    image: Image,
+    level: int,
+    places: Array,
+    stops: Array,
+    at_mirror: bool = False,
+) -> Array:
     """Vertices (m, n, 3) of paths from points to the radar: mirrors, edges (n, 2, 3), mirrors, the
-    radar; NaN where a mirror is not between its neighbours.
+    radar; NaN where a mirror is not between its neighbours. ``at_mirror``: the edges are those of
+    the mirror before their leg, which reflects the paths there.
     """
     patches = [prepared.flats[number] for number in image.patches]
     aims = [stops[:, 1]]
@@ -28,7 +38,7 @@ def folded(prepared: PreparedScene, image: Image, level: int, places: Array, sto
     for flat, aim in zip(patches[level:][::-1], aims[:0:-1], strict=True):
         chain.append(_mirror(chain[-1], aim, flat))
     chain += [stops[:, 1], stops[:, 0]]
-    return np.stack([*chain, *_home(prepared, image, level, stops[:, 0])])
+    return np.stack([*chain, *_home(prepared, image, level - at_mirror, stops[:, 0])])
 
 
 def straight_home(prepared: PreparedScene, image: Image, places: Array) -> Array:
@@ -57,7 +67,7 @@ def _mirror(begin: Array, aim: Array, flat: Flat) -> Array:
 
 def blocker(prepared: PreparedScene, chain: Array, off: Array) -> Indices:
     """Number of the object that stands first between two vertices that follow each other, (n,)."""
-    what = np.where(np.isfinite(chain).all(axis=(0, 2)), NOTHING, _NO_WAY)
+    what = np.where(np.isfinite(chain).all(axis=(0, 2)), NOTHING, NO_WAY)
     for k in range(len(chain) - 1):
         rows = np.flatnonzero(what == NOTHING)
         begin = chain[k, rows] + (off[rows] if k == 0 else 0)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
-from twin.radar.propagation.diffraction.mirrors import BEFORE_MIRROR, border
+from twin.radar.propagation.diffraction.mirror_borders import border
+from twin.radar.propagation.diffraction.mirrors import BEFORE_MIRROR
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, mirrored
 from twin.radar.rows import dots, lengths

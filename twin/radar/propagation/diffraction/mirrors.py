@@ -11,7 +11,6 @@ obstacles changes over the band, and how obstacles and the border act together: 
 multiplied.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,15 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from twin.radar.propagation.diffraction.around_edges import (
-    Segment,
-    all_paths_to_points,
-    is_near_edges,
-)
+from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, is_near_edges
 from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
+from twin.radar.propagation.diffraction.mirror_borders import RIGHT, border, on_plane
 from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
 from twin.radar.propagation.diffraction.screens import Screens
-from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.diffraction.segments import Segment
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, in_plane, mirrored
 from twin.radar.propagation.scene.mesh_scene import Flat, Flats
@@ -35,7 +31,6 @@ from twin.radar.rows import lengths
 
 Array = NDArray[np.float64]
 
-_IN_PLANE = 1e-6  # of the distance: by which corners of a flat patch are off its plane
 #: Of the way to a mirror: where rays end before it, and behind its border.
 BEFORE_MIRROR, _BEYOND = 1 - 1e-4, 1 + 1e-4
 #: Of the distance to a mirror: from which on obstacles cast soft shadows on it; and the least share
@@ -45,7 +40,6 @@ _BEHIND = 1 + 3e-5  # of the way to the mirror: where the integral is, so that l
 #: Points of the integral and edges near its paths, in pairs: 10 us each, so that some seconds are
 #: the limit.
 _MOST_PAIRS = 2**19
-RIGHT = 0.035  # cosine between planes that meet at a right angle
 _SAME = 1e-3  # wavelengths between images that are one
 _ALL = 2**30  # a number that no body has: points of one group, whose obstacles are all
 
@@ -107,7 +101,7 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
     paths = rim_paths(rim, image.place, here[None], wavenumber, faintest)
     flat = prepared.flats[number]
     inside, outside = (
-        _in_plane(flat, here, paths.stops[:, 0] + s * paths.aside[:, 0]) for s in (1, -1)
+        on_plane(flat, here, paths.stops[:, 0] + s * paths.aside[:, 0]) for s in (1, -1)
     )
     begin = np.broadcast_to(here, inside.shape)
     is_free = first_between(prepared, begin, here + BEFORE_MIRROR * (inside - here)) == NOTHING
@@ -116,12 +110,6 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
         beside = _first_met(prepared.flats, int(met[row]), here, outside[row])
         is_free[row] &= beside is not None and _ends_beside(prepared, image, beside)
     return paths.take(is_free & (np.abs(paths.amplitude) >= faintest))
-
-
-def _in_plane(flat: Flat, begin: Array, places: Array) -> Array:
-    """Where ways to places (n, 3) meet a plane."""
-    ways = places - begin
-    return begin + ((flat.point - begin) @ flat.normal / (ways @ flat.normal))[:, None] * ways
 
 
 def _ends_beside(prepared: PreparedScene, image: Image, number: int) -> bool:
@@ -145,34 +133,6 @@ def _first_met(flats: Flats, item: int, begin: Array, end: Array) -> int | None:
         if 0 < share < _BEYOND and flats.covers(number, begin + share * way):
             met.append((share, number))
     return min(met)[1] if met else None
-
-
-def border(
-    prepared: PreparedScene, number: int, source: Array, behind: Sequence[int] = ()
-) -> Outline:
-    """Edges of one triangle alone of a patch, as seen from a source, with the patch as opening;
-    where other patches show it that stand before it, the last one the nearest.
-    """
-    flat = prepared.flats[number]
-    item = prepared.originals[flat.object]
-    points, place = np.unique(item.vertices_m - prepared.anchor_m, axis=0, return_inverse=True)
-    faces = place.reshape(-1)[item.geometry.faces]
-    off = np.abs((points - flat.point) @ flat.normal)
-    tolerance = _IN_PLANE * (1 + np.linalg.norm(points - flat.point, axis=1))
-    faces = faces[(off <= tolerance)[faces].all(axis=1)]
-    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    pairs, first, count = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    corners, first = pairs[count == 1], first[count == 1]
-    for mirror in behind:
-        points = mirrored(points, prepared.flats[mirror])
-    within = points[faces[:, [2, 0, 1]].reshape(-1)[first]] - source
-    ends = points[corners] - source
-    lit = np.cross(ends[:, 0], ends[:, 1])
-    lit *= np.sign(np.sum(lit * (within - ends[:, 0]), axis=1, keepdims=True))
-    lit /= np.maximum(lengths(lit), 1e-300)[:, None]
-    return Outline.of(ends, np.arange(len(ends)), corners, lit)
 
 
 def passed_twice(obstacles: Screens, flat: Flat) -> Passed | None:

@@ -7,18 +7,13 @@ knife-edge factor of their longer path at most, once on each way that goes over 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.mirrors import RIGHT, border
+from twin.radar.propagation.diffraction.mirror_borders import free_border
 from twin.radar.propagation.diffraction.shadow_bounds import level_beside
-from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.propagation.scene.images import Image
-from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
 
 _POINTS = 64  # of a body, about, to which ways over mirrors are looked at
-_BESIDE_M = 1e-3  # of an edge, where another surface goes on
-_ONE_PLANE = 1 - 1e-6  # cosine between planes that are one
 
 
 def border_levels(
@@ -36,7 +31,7 @@ def border_levels(
     for row in images:
         image, level = prepared.images[row], np.zeros(len(every))
         for number in range(len(image.patches)):
-            rim = _free_border(prepared, image, number)
+            rim = free_border(prepared, image, number)
             if len(rim.ends) and len(every):
                 level += level_beside(rim, every - image.place, wavenumber)
         for body in range(count):
@@ -53,29 +48,3 @@ def points_of(prepared: PreparedScene, members: NDArray[np.intp]) -> Array:
         step = max(1, len(corners) * len(members) // _POINTS)
         points.append(corners[::step].mean(axis=1))
     return np.concatenate([np.zeros((0, 3)), *points])
-
-
-def _free_border(prepared: PreparedScene, image: Image, level: int) -> Outline:
-    """The border of one of an image's mirrors, as the others show it, without edges beside which
-    another goes on in its plane or at a right angle: there the waves of both cancel.
-    """
-    flats, number, here = prepared.flats, image.patches[level], image.places[0]
-    real = border(prepared, number, here)
-    normal = flats.normal[number]
-    along = real.ends[:, 1] - real.ends[:, 0]
-    outward = np.cross(along, normal)
-    outward *= (
-        -np.sign(dots(outward, real.lit))[:, None] / np.maximum(lengths(along), 1e-300)[:, None]
-    )
-    beside = here + real.ends.mean(axis=1) + _BESIDE_M * outward
-    is_free = np.ones(len(beside), dtype=bool)
-    for other in range(len(flats)):
-        cosine = abs(normal @ flats.normal[other])
-        if other == number or RIGHT < cosine < _ONE_PLANE:
-            continue
-        height = (beside - flats.point[other]) @ flats.normal[other]
-        for row in np.flatnonzero(is_free & (np.abs(height) < 2 * _BESIDE_M)):
-            foot = beside[row] - height[row] * flats.normal[other]
-            is_free[row] = not flats.covers(other, foot)
-    shown = border(prepared, number, image.place, image.patches[level + 1 :])
-    return shown.take(np.flatnonzero(is_free))

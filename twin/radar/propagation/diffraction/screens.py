@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.flat_sides import Side, sides_of
+from twin.radar.propagation.diffraction.mirror_borders import free_border
 from twin.radar.propagation.diffraction.outermost import OuterRims
 from twin.radar.propagation.meshes.silhouettes import Outline, outline
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.propagation.scene.images import Image
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
 
@@ -27,7 +29,7 @@ class Screens:
 
     ``body`` (n,) numbers the bodies that objects are parts of, -1 for none; ``faintest`` is the
     least amplitude of a diffracted path, over the direct wave, that is kept; ``rims`` are outer
-    rims that were asked for, by source.
+    rims that were asked for, by source, and ``borders`` those of mirrors, by their numbers.
     """
 
     prepared: PreparedScene
@@ -36,6 +38,7 @@ class Screens:
     boxes: Array
     faintest: float
     rims: dict[bytes, OuterRims] = field(default_factory=dict)
+    borders: dict[int, Outline | None] = field(default_factory=dict)
 
     @cached_property
     def centers(self) -> Array:
@@ -75,6 +78,18 @@ class Screens:
         if held is None or held[0] != place_m.tobytes():
             held = _from_radar[one] = place_m.tobytes(), outline(one, place_m)
         return held[1]
+
+    def border(self, image: Image) -> Outline | None:
+        """That of an image's only mirror, from there, as the opening through which the radar is
+        seen; None of other images, and where the mirror goes on everywhere.
+        """
+        if len(image.patches) != 1:
+            return None
+        (number,) = image.patches
+        if number not in self.borders:
+            rim = free_border(self.prepared, image, 0)
+            self.borders[number] = rim if len(rim.ends) else None
+        return self.borders[number]
 
     def rim(self, item: int, source: Array, reach_m: float, own: int = -1) -> Outline:
         """Of an obstacle's outline what is on the outline of all that stands close to it, but for

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.blocking import NOTHING
+from twin.radar.propagation.diffraction.blocking import NO_WAY, NOTHING
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.triangle_means import mean_phasors
 from twin.radar.propagation.diffraction.views import TwoViews, View
@@ -178,7 +178,7 @@ def shown_facets(views: TwoViews, facets: Facets, body: int) -> tuple[Facets, ND
     obstacles = views.one.obstacles
     off = offset_m(facets.middle) * facets.normal(views.one.place)
     met = np.array([view.first_met(facets.middle, off) for view in views.each])
-    is_hidden = (met < NOTHING) | ((met >= 0) & (obstacles.body[np.maximum(met, 0)] == body))
+    is_hidden = (met == NO_WAY) | ((met >= 0) & (obstacles.body[np.maximum(met, 0)] == body))
     is_shown = ~is_hidden.any(axis=0)
     facets = facets.take(is_shown)
     _, cell = np.unique(facets.cell, return_inverse=True)

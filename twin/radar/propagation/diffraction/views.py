@@ -13,7 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.blocking import NOTHING, blocker, straight_home
+from twin.radar.propagation.diffraction.blocking import (
+    NO_WAY,
+    NOTHING,
+    PAST_MIRROR,
+    blocker,
+    straight_home,
+)
+from twin.radar.propagation.diffraction.mirror_borders import askew, between_mirrors, is_past
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.meshes.silhouettes import Outline
@@ -70,14 +77,22 @@ class View:
         return self.straight(places, np.zeros_like(places)).level
 
     def first_met(self, places: Array, off: Array) -> Indices:
-        """Number of the object that ways home from points (n, 3) first meet, `NOTHING`, or a number
-        below where a mirror is not on the way.
+        """Number of the object that ways home from points (n, 3) first meet, `NOTHING`,
+        `PAST_MIRROR` where they go past the border of their only mirror, whose waves are followed,
+        or `NO_WAY` where a mirror is not on the way.
         """
         prepared = self.obstacles.prepared
         met = blocker(prepared, straight_home(prepared, self.image, places), off)
-        if self.image.patches:
-            met = np.where(self.straight(places, off).clear, met, NOTHING - 1)
-        return met
+        if not self.image.patches:
+            return met
+        is_met = self.straight(places, off).clear
+        found = np.where(is_met, met, NO_WAY)
+        if self.obstacles.border(self.image) is not None:
+            others = askew(prepared.flats, self.image.patches[0])
+            free = np.flatnonzero(~is_met & ((met == NOTHING) | np.isin(met, others)))
+            past = free[is_past(prepared, self.image, places[free])]
+            found[past] = PAST_MIRROR
+        return found
 
     def others(self, body: int) -> Indices:
         """Numbers of the objects that may be obstacles of ways to a body: no mirror of these ways
@@ -90,7 +105,8 @@ class View:
         self, body: int, direct: Array, radius: Array
     ) -> Iterator[tuple[Outline, NDArray[np.intp]]]:
         """Outer rims near ways to spheres, at the ends of vectors (n, 3) from here and of radii
-        (n,), of every obstacle and leg, as seen from here; and the spheres that each is near to.
+        (n,), of every obstacle and leg, as seen from here, and the spheres that each is near to;
+        and the border of an only mirror.
         """
         others = self.others(body)
         for leg in range(len(self.turns)):
@@ -101,10 +117,13 @@ class View:
                 length_m = float(np.mean(np.linalg.norm(seen[rows], axis=1)))
                 rim = self.obstacles.rim(int(others[column]), source, length_m, body)
                 yield self._shown(rim, leg), rows
+        if (border := self.obstacles.border(self.image)) is not None:
+            yield border, np.arange(len(direct))
 
     def all_rims(self, body: int, direct: Array) -> Iterator[Outline]:
         """Of what stands near the ways to places, at vectors (n, 3) from here, the outer rims; of
-        all else the whole outlines, many together: rays for all of a city take seconds.
+        all else the whole outlines, many together: rays for all of a city take seconds. And the
+        border of an only mirror.
         """
         others = self.others(body)
         reach_m = float(np.mean(np.linalg.norm(direct, axis=1)))
@@ -119,12 +138,17 @@ class View:
                 outlines = [self.obstacles.outline(item, source) for item in some.tolist()]
                 if outlines:
                     yield self._shown(Outline.together(outlines), leg)
+        if (border := self.obstacles.border(self.image)) is not None:
+            yield border
 
     def _shown(self, rim: Outline, leg: int) -> Outline:
         """Edges of a leg, relative to where it begins, as they are seen from here."""
         if not self.image.patches:
             return rim
-        rim, turn = between_mirrors(self.obstacles, self.image, leg, rim), self.turns[leg].T
+        rim, turn = (
+            between_mirrors(self.obstacles.prepared, self.image, leg, rim),
+            self.turns[leg].T,
+        )
         turned = {name: getattr(rim, name) @ turn for name in ("ends", "lit", "aside", "onwards")}
         return replace(rim, **turned)
 
@@ -160,19 +184,6 @@ def two_views(obstacles: Screens, one: int, other: int) -> TwoViews:
     """By two images, by their numbers."""
     first = View(obstacles, one)
     return TwoViews(first, first if one == other else View(obstacles, other))
-
-
-def between_mirrors(obstacles: Screens, image: Image, leg: int, rim: Outline) -> Outline:
-    """Edges before the mirror that ends a leg and behind that at which it begins."""
-    source, flats = image.places[leg], obstacles.prepared.flats
-    middle = rim.ends.mean(axis=1) + source
-    is_there = np.ones(len(middle), dtype=bool)
-    for patch, side in ((leg - 1, -1), (leg, 1)):
-        if 0 <= patch < len(image.patches):
-            flat = flats[image.patches[patch]]
-            heights = (middle - flat.point) @ flat.normal
-            is_there &= side * heights * ((source - flat.point) @ flat.normal) > 0
-    return rim.take(np.flatnonzero(is_there))
 
 
 def are_beside(

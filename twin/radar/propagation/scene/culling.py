@@ -4,7 +4,8 @@ A path leads from the radar, directly or by its image in large surfaces, to the 
 Two things are known before any ray is sent:
 
 - Over an image there is a path only to what stands beyond the last mirror, as seen from the image,
-  and within the window that the mirror's patch is.
+  and within the window that the mirror's patch is; or beside it, where waves over the border of an
+  only mirror count.
 - A box that subtends a solid angle Omega, where the antenna's gain is at most G, receives at most
   the share G Omega / (4 pi) of the sent power, and scatters no more. By reciprocity the same share
   holds for reception. So an echo with a forward path of share p and a return path of share q has at
@@ -19,7 +20,7 @@ strong one is received, at a wrong range.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ Mask = NDArray[np.bool_]
 
 #: Amplitude of all echoes that are left out together, over the noise of a cell of the map.
 OF_NOISE = 0.1
+_GRAZING = 0.1  # least cosine of incidence by which what is beside a mirror is looked for
 _ROUNDED = 1e-9  # of the coordinates: tolerance for their rounding
 #: For each corner of a box, which of both ends along x, y, z it has.
 _CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
@@ -82,19 +84,26 @@ class ImageAntennas:
 
     ``place`` (n, 3); ``axis`` (n, 3), the mirrored antenna's; ``gain`` (n,), its bound towards the
     first patch; ``last`` (n,), number of the last mirror's patch, through which the image is seen,
-    -1 for none.
+    -1 for none; ``more_m`` (n,), by how much longer paths over that patch's border may be.
     """
 
     place: Array
     axis: Array
     gain: Array
     last: NDArray[np.int64]
+    more_m: Array
+
+    def take(self, which: slice) -> "ImageAntennas":
+        """Only some of them."""
+        return ImageAntennas(*(getattr(self, f.name)[which] for f in fields(ImageAntennas)))
 
 
 def image_antennas_of(
-    images: Sequence[Image], flats: Flats, axis: Array, beam: Beam
+    images: Sequence[Image], flats: Flats, axis: Array, beam: Beam, more_m: float = 0.0
 ) -> ImageAntennas:
-    """Of the radar, whose antenna looks along ``axis``, and of its images."""
+    """Of the radar, whose antenna looks along ``axis``, and of its images; paths over the border of
+    an only mirror may be longer by ``more_m``.
+    """
     mirrored = np.tile(axis, (len(images), 1))
     gain = np.full(len(images), beam.gain[0])
     last = np.array([i.patches[-1] if i.patches else -1 for i in images], dtype=np.int64)
@@ -105,7 +114,9 @@ def image_antennas_of(
         if image.patches:
             box = flats.box[image.patches[0]][None]
             gain[row] = most_gain(beam, image.places[:1], axis[None], box)[0, 0]
-    return ImageAntennas(np.array([image.place for image in images]), mirrored, gain, last)
+    places = np.array([image.place for image in images])
+    longer_m = np.array([more_m if len(i.patches) == 1 else 0.0 for i in images])
+    return ImageAntennas(places, mirrored, gain, last, longer_m)
 
 
 def shares(
@@ -123,9 +134,7 @@ def shares(
     rows = max(_AT_ONCE // max(len(boxes), 1), 1)
     for first in range(0, len(share), rows):
         part = slice(first, first + rows)
-        some = ImageAntennas(
-            antennas.place[part], antennas.axis[part], antennas.gain[part], antennas.last[part]
-        )
+        some = antennas.take(part)
         gain = np.minimum(most_gain(beam, some.place, some.axis, boxes), some.gain[:, None])
         distance = np.stack([distances_m(boxes, place) for place in some.place])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -195,6 +204,11 @@ def _in_sight(antennas: ImageAntennas, boxes: Array, flats: Flats) -> Mask:
     scale = _ROUNDED * (np.abs(corners).max() + np.abs(antennas.place).max())
     seen[over] = (beyond > scale).any(axis=2)
     straddles = (beyond < 0).any(axis=2)
+    farthest_m = np.linalg.norm(corners - antennas.place[over][:, None, None], axis=3).max(axis=2)
+    more_m, cosine = antennas.more_m[over, None], height[:, None] / np.maximum(farthest_m, 1e-300)
+    # Where a mirror is met obliquely a zone on it is longer.
+    beside = np.sqrt(more_m * (2 * farthest_m + more_m)) / 2 / np.maximum(cosine, _GRAZING)
+    beside += scale
     shrink = height[:, None, None] / np.maximum(height[:, None, None] + beyond, 1e-300)
     for axis in in_plane(away):
         here = np.einsum("ni,ni->n", antennas.place[over], axis)[:, None, None]
@@ -205,5 +219,5 @@ def _in_sight(antennas: ImageAntennas, boxes: Array, flats: Flats) -> Mask:
         low = np.where(straddles, np.minimum(at, there).min(axis=2), at.min(axis=2))
         high = np.where(straddles, np.maximum(at, there).max(axis=2), at.max(axis=2))
         window = flats.extent(patch, axis)
-        seen[over] &= (high >= window[:, :1] - scale) & (low <= window[:, 1:] + scale)
+        seen[over] &= (high >= window[:, :1] - beside) & (low <= window[:, 1:] + beside)
     return seen
