@@ -116,7 +116,7 @@ def recover(
     if result.original:
         say.line(f"as it was: {result.original}")
     if result.ending.lost:
-        say.warn(f"{path}: {result.ending.lost}", is_loss=True)
+        say.warn(f"{path}: {result.ending.lost}")
         raise typer.Exit(DATA_LOST)
 
 

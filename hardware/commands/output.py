@@ -14,7 +14,9 @@ import typer
 
 from hardware.formatting import json_text
 
-_QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Only errors and the verdict.")]
+_QUIET = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Only the verdict, warnings and errors.")
+]
 _VERBOSE = Annotated[
     bool, typer.Option("--verbose", "-v", help="What is done, with times, on stderr.")
 ]
@@ -77,11 +79,12 @@ class Output:
         if not self.quiet:
             print(text, file=self.stream, flush=True)
 
-    def warn(self, text: object, *, is_loss: bool = False) -> None:
-        """A warning, on stderr and in the document; of lost data by a quiet command too."""
+    def warn(self, text: object) -> None:
+        """A warning, on stderr and in the document; a quiet command tells it too, since a verdict
+        without its warnings would say more than the record does.
+        """
         self._warnings.append(str(text))
-        if not self.quiet or is_loss:
-            print(f"warning: {text}", file=sys.stderr)
+        print(f"warning: {text}", file=sys.stderr)
 
     def written(self, path: str | Path, remark: str = "", *, name: str = "written") -> None:
         """A file or folder that is there now."""

@@ -102,12 +102,12 @@ def warn_of_damage(say: Output, endings: "Mapping[str | Path, Ending]") -> None:
     """Warn of incomplete logs; where data are lost, exit with `DATA_LOST`."""
     for path, ending in endings.items():
         if ending.fault:
-            say.warn(f"{path}: {ending.advice(path)}", is_loss=bool(ending.lost))
+            say.warn(f"{path}: {ending.advice(path)}")
     if any(ending.lost for ending in endings.values()):
         raise typer.Exit(DATA_LOST)
 
 
 def end_early(say: Output, reached: str) -> NoReturn:
     """Warn that a signal ended the command before its limit; exit with `STOPPED_EARLY`."""
-    say.warn(f"stopped by a signal after {reached}", is_loss=True)
+    say.warn(f"stopped by a signal after {reached}")
     raise typer.Exit(STOPPED_EARLY)

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from hardware import PatternSet, SpiRecord, reconstruct, write_record
 from hardware.commands.entry import outcome
 from hardware.files import whole_file
 from hardware.reconstruction import METHODS, Mixing
-from hardware.records import QuaternionPose
+from hardware.records import Flag, QuaternionPose
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +181,18 @@ def test_quiet_verbose_and_a_document(record: tuple[Path, SpiRecord], tmp_path: 
     assert values["greatest cell"] == pytest.approx(image.max())
     assert content["shape"] == [2, 8, 16]
     assert content["written"] == [str(out)]
+
+
+def test_quiet_tells_what_is_wrong_with_a_record(
+    record: tuple[Path, SpiRecord], tmp_path: Path
+) -> None:
+    """A verdict on a saturated record alone would say that the image is good."""
+    flags = np.zeros(80, np.uint8)
+    flags[::2] = Flag.SATURATED
+    path = tmp_path / "saturated.h5"
+    write_record(replace(record[1], flags=flags), path)
+    done = ugv("reconstruct", path, "--out", tmp_path / "image.npz", "-q")
+    assert done.stderr == f"warning: {path}: 40 of 80 exposures are marked saturated\n"
 
 
 def test_methods_as_a_document() -> None:

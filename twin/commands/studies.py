@@ -118,7 +118,7 @@ def _damage_told(say: Output) -> "Iterator[None]":
             line: str | None = None,
         ) -> None:
             if issubclass(category, DamagedWarning):
-                say.warn(message, is_loss=True)
+                say.warn(message)
             else:
                 others(message, category, filename, lineno, file, line)
 
@@ -290,7 +290,7 @@ def _tell_sensitivities(
         say.verdict(f"variance of {metric}, {share}: {name}")
     approximate = incomplete_sample(data, metric, void=void)
     if approximate:
-        say.warn(f"variance of {metric}: {approximate}", is_loss=True)
+        say.warn(f"variance of {metric}: {approximate}")
     say.add(
         metric=metric,
         sensitivities=[{"parameter": name, **vars(share)} for name, share in ordered],
