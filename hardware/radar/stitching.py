@@ -34,6 +34,9 @@ _POWER_AT_A_CELL, _POWER_FALLS = 0.24, 2.0
 _AS_LARGE = 1.8
 #: All that is nearer appears 0.8 to 1 cells from it, 1 to 23 dB too weak.
 _NEARER = 3**-0.5, 5.0
+#: Range cells of one step before the path, which repeats every symbol, in which the model has no
+#: echoes: with one at any delay, phases of steps could be any. Of 1, 2 and 3 levels are the same.
+_FREE_BEFORE = 2.0
 _LEAST_OVER_ECHOES_DB = 6.5  # with eight echoes about as strong, 1 of 20 records is wrong
 
 
@@ -251,7 +254,9 @@ def _phases(
     phase = np.asarray(np.angle(np.einsum("csn,sn->cs", still, path.conj())[0]))
     if len(phase) == 1:
         return np.zeros(1)
-    last = max(wide.prefix_s, delay_s + 4 / wide.bandwidth_hz)
+    free_s = _FREE_BEFORE * len(phase) / wide.bandwidth_hz
+    before_next_s = delay_s + wide.max_delay_s - free_s
+    last = max(min(wide.prefix_s, before_next_s), delay_s + 4 / wide.bandwidth_hz)
     merged = _subcarriers_per_block(still.shape[-1], wide.subcarrier_spacing_hz * last)
     f = wide.frequency_offsets_hz.reshape(-1, merged)
     echoes = _later_echoes(f.tobytes(), merged, delay_s, last, wide.bandwidth_hz)
@@ -297,7 +302,7 @@ def _later_echoes(
 ) -> Complex:
     """Orthonormal basis (n_frequencies, rank) of delays from one cell after the path to the last.
 
-    Echoes beyond the cyclic prefix are not in this model.
+    Echoes beyond the last are not in this model.
     """
     f = np.frombuffer(frequencies).reshape(-1, merged)
     delays = np.arange(delay_s + 1 / bandwidth_hz, last_s, 0.5 / bandwidth_hz)

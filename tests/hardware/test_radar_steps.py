@@ -8,7 +8,7 @@ import pytest
 from radar_cubes import CARRIERS, STEP, Echo, cube
 
 from hardware.errors import InputError
-from hardware.radar import Cfar
+from hardware.radar import Cfar, OfdmWaveform
 from hardware.radar.burst import demodulate
 from hardware.radar.clutter import without_leakage
 from hardware.radar.process import process
@@ -81,6 +81,25 @@ def test_an_echo_beside_the_reference_is_within_its_errors(range_m: float) -> No
         assert ("within a cell" in " ".join(frame.warnings)) == (range_m < 0.9)
         off.append([(found.range_m - range_m) / error_m, (found.power_w - power_w) / error_w])
     assert np.abs(off).max() < 1.96
+
+
+@pytest.mark.parametrize("prefix_symbols", [0.5, 0.99, 1.0, 2.0])
+def test_a_prefix_of_a_symbol_leaves_levels_right(prefix_symbols: float) -> None:
+    """The path comes again after one symbol. A model with echoes up to there has one at every
+    delay and explains any phases of steps: the level fell by 4 dB, mirrored about the path.
+    """
+    wave = OfdmWaveform(2.25e9, 64, 1e6, 16, 40e-6, 8, prefix_symbols * 1e-6)
+    leakage, power_w = (1e-7, 4e-9), 1e-9
+    record = cube(
+        wave,
+        [Echo((1.3, 0, 0), power_w)],
+        carriers_hz=2.25e9 + 64e6 * np.arange(8),
+        leakage=leakage,
+        noise_w=1e-11,
+    )
+    (found,) = process(record).detections
+    assert abs(found.range_m - 1.3) < 1.96 * found.range_error_m
+    assert abs(found.power_w - power_w) < 1.96 * found.power_error_w < 0.2 * power_w
 
 
 def test_late_samples_of_a_retune_are_found() -> None:
