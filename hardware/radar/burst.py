@@ -88,7 +88,7 @@ def demodulate(
     reference_delay_s: float | None = None,
     range_rate_m_per_s: float = 0.0,
 ) -> DemodulatedBurst:
-    """Demodulate a burst up to its first loss of data, see `usable_part`.
+    """Demodulate the longest part of a burst without a loss of data, see `usable_part`.
 
     Parameters
     ----------
@@ -118,14 +118,15 @@ def demodulate(
             f"delay, +/- {longest_s:.3g} s"
         )
     part = usable_part(record, burst)
-    schedule = tdm_schedule(record.transmitter[: part.n_slots])
-    steps = range(part.n_steps)
+    sender = record.transmitter[part.slots]
+    schedule = tdm_schedule(sender)
     wave = record.waveform
     n_transmitters, n_rounds = schedule.shape
     slots = wave.slot_times_s[schedule]
     leakage_s = record.front_end.leakage_delay_s
     own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
-    samples = [complex_samples(record.iq[burst, step, : part.n_slots], precision) for step in steps]
+    iq = record.iq[burst, part.steps, part.slots]
+    samples = [complex_samples(step, precision) for step in iq]
     samples = without_faults(samples, wave)
     leakage_warnings: tuple[str, ...] = ()
     seen = True
@@ -157,8 +158,8 @@ def demodulate(
         wide_channel, wide = cube[0], own
     else:
         relative_noise = _noise_of_steps(cube)
-        carriers_hz = record.carriers_hz[: part.n_steps]
-        times_s = 1e-9 * record.device_time_ns[burst, : part.n_steps, 0].astype(np.float64)
+        carriers_hz = record.carriers_hz[part.steps]
+        times_s = 1e-9 * record.device_time_ns[burst, part.steps, 0].astype(np.float64)
         coupling_s = range_per_rate_s(carriers_hz, times_s)
         scatter = scatter_per_rate(carriers_hz, times_s, wave)
         has_reference = seen or reference_delay_s is not None
@@ -180,7 +181,8 @@ def demodulate(
         wide_channel = without_leakage(wide_channel, wide, leakage_s)
     if motion is not None:
         wide_channel = wide_channel * motion[:, None]
-    transmitters = record.transmitter[schedule[:, 0]]
+    transmitters = sender[schedule[:, 0]]
+    slots_used = slice(part.slots.start, part.slots.start + int(schedule.max()) + 1)
     n_receivers = len(record.front_end.receivers_m)
     return DemodulatedBurst(
         channel=wide_channel,
@@ -190,7 +192,7 @@ def demodulate(
         receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
         whole=part.whole,
         warnings=(*part.warnings, *leakage_warnings),
-        middle_ns=record.middle_ns(burst, part.n_steps, int(schedule.max()) + 1),
+        middle_ns=record.middle_ns(burst, part.steps, slots_used),
         relative_noise=relative_noise,
         leakage=None if mode is None else mode.ravel(),
         range_per_rate_s=coupling_s,

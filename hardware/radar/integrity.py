@@ -1,4 +1,4 @@
-"""Integrity of a burst: it ends at the first loss of data; silence and clipping give warnings."""
+"""Integrity of a burst: its longest part without a loss; warnings of silence and clipping."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from hardware.errors import InputError, check_index
 from hardware.radar.receivers import check_receivers, silent_slots
 from hardware.records.container import Flag, unknown_flags
+from hardware.records.radar import RAIL
 
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
-_RAIL = 32767
 _CLOCK = 0.01  # of a slot, by which its start may be off
 #: What leaves a slot without the samples of its time, and its name in messages.
 _WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lost"}
@@ -21,63 +21,98 @@ _WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lo
 
 @dataclass(frozen=True)
 class UsablePart:
-    """The part of a burst before the first loss of data, and its warnings.
+    """The longest part of a burst without a loss of data, and its warnings.
 
-    Either all slots of the first ``n_steps`` steps, or the first ``n_slots`` of the first step.
+    Either all slots of some ``steps``, or some ``slots`` of one of them, one after another.
     """
 
-    n_steps: int
-    n_slots: int
+    steps: slice
+    slots: slice
     whole: bool
     warnings: tuple[str, ...]
 
 
 def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
-    """The part of a burst that can be processed coherently: up to the first gap, overflow, reset or
-    lost slot.
+    """The part of a burst that can be processed coherently: the longest without a gap, overflow,
+    reset or lost slot.
 
-    Slots behind a lost one are left out with it: in the gap's place the transforms would take zeros
-    for echoes, which lowers levels and raises side lobes.
+    What is beyond a lost slot is left out with it: in the gap's place the transforms would take
+    zeros for echoes, which lowers levels and raises side lobes.
 
-    Raises InputError where there is no such part, for receivers that hold nothing of their own in
+    Raises InputError where no part is long enough, for receivers that hold nothing of their own in
     it, see `check_receivers`, and for a burst that the record does not have.
     """
     check_index("burst", burst, len(record.iq))
-    n_steps, n_slots = record.flags[burst].shape
-    lost = _lost(record, burst)
+    lost = np.asarray((record.flags[burst] & sum(_WITHOUT_SAMPLES)) != 0)
+    late = _behind_gaps(record, burst)
     warnings = _levels(record, burst)
-    if not lost.any():
+    if not (lost | late).any():
         check_receivers(burst, record.iq[burst], record.waveform)
-        return UsablePart(n_steps, n_slots, True, tuple(warnings))
+        n_steps, n_slots = lost.shape
+        return UsablePart(slice(0, n_steps), slice(0, n_slots), True, tuple(warnings))
+    steps, slots = _longest_part(lost, late)
+    where = _first_loss(record, burst, lost | late)
+    if slots.stop - slots.start < 2 * len(record.front_end.transmitters_m):
+        raise InputError(f"{where}; too little is left without a loss")
+    check_receivers(burst, record.iq[burst, steps, slots], record.waveform)
+    of = f"slots {slots.start} to {slots.stop - 1} of step {steps.start}"
+    if slots.stop - slots.start == lost.shape[1]:
+        of = f"steps {steps.start} to {steps.stop - 1}"
+    return UsablePart(steps, slots, False, (f"{where}; processed are {of}", *warnings))
+
+
+def _behind_gaps(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
+    """Slots (n_steps, n_slots) that did not come at their time after the one before."""
+    times = record.device_time_ns[burst]
+    slot_ns = 1e9 * record.waveform.slot_period_s
+    late = np.zeros(times.shape, dtype=np.bool_)
+    late[:, 1:] = np.abs(np.diff(times, axis=1) - slot_ns) > 1 + _CLOCK * slot_ns
+    # The duration of a retune is not checked, but no step may begin before the last one has ended.
+    late[1:, 0] = times[1:, 0] - times[:-1, -1] < slot_ns * (1 - _CLOCK) - 1
+    return late
+
+
+def _longest_part(lost: NDArray[np.bool_], late: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Steps and slots of the longest part, of slots that are lost or behind a gap (n_steps,
+    n_slots): whole steps, or where none is whole the slots of one.
+    """
+    broken = np.asarray(lost.any(axis=1) | late[:, 1:].any(axis=1))
+    steps = _longest_run(broken, late[:, 0])
+    if steps.stop > steps.start:
+        return steps, slice(0, lost.shape[1])
+    runs = [_longest_run(*step) for step in zip(lost, late, strict=True)]
+    step = int(np.argmax([run.stop - run.start for run in runs]))
+    return slice(step, step + 1), runs[step]
+
+
+def _longest_run(broken: NDArray[np.bool_], begins: NDArray[np.bool_]) -> slice:
+    """The longest run of items that are not broken, of which none but the first ``begins`` anew;
+    the first of equals.
+    """
+    number = np.cumsum(broken | begins)
+    length = np.bincount(number, weights=~broken)
+    (own,) = np.nonzero((number == np.argmax(length)) & ~broken)
+    return slice(int(own[0]), int(own[-1]) + 1) if own.size else slice(0, 0)
+
+
+def _first_loss(record: "RadarRecord", burst: int, lost: NDArray[np.bool_]) -> str:
+    """Where the first loss is, and of what kind."""
     step, slot = (int(i) for i in np.unravel_index(np.argmax(lost), lost.shape))
     flags = int(record.flags[burst, step, slot])
     names = [name for flag, name in _WITHOUT_SAMPLES.items() if flags & flag]
     why = f"flagged as {' and '.join(names)}" if names else "after a gap"
-    n_steps, n_slots = (step, n_slots) if step else (1, slot)
-    where = f"burst {burst}, step {step}, slot {slot}: {why}"
-    if n_slots < 2 * len(record.front_end.transmitters_m):
-        raise InputError(f"{where}; too little comes before it")
-    check_receivers(burst, record.iq[burst, :n_steps, :n_slots], record.waveform)
-    done = f"the {n_steps} steps before it" if step else f"the {n_slots} slots before it"
-    return UsablePart(n_steps, n_slots, False, (f"{where}; processed are {done}", *warnings))
+    return f"burst {burst}, step {step}, slot {slot}: {why}"
 
 
-def _lost(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
-    """Slots (n_steps, n_slots) that did not come at their time, or are flagged."""
-    times = record.device_time_ns[burst]
-    slot_ns = 1e9 * record.waveform.slot_period_s
-    lost = np.asarray((record.flags[burst] & sum(_WITHOUT_SAMPLES)) != 0)
-    lost[:, 1:] |= np.abs(np.diff(times, axis=1) - slot_ns) > 1 + _CLOCK * slot_ns
-    # The duration of a retune is not checked, but no step may begin before the last one has ended.
-    lost[1:, 0] |= times[1:, 0] - times[:-1, -1] < slot_ns * (1 - _CLOCK) - 1
-    return lost
+def silence(record: "RadarRecord", burst: int) -> str:
+    """That a burst holds nothing; empty where it does."""
+    return "" if record.iq[burst].any() else f"burst {burst}: IQ is all zero"
 
 
 def _levels(record: "RadarRecord", burst: int) -> list[str]:
     iq, flags = record.iq[burst], record.flags[burst]
-    highest, lowest = iq.max(initial=0), iq.min(initial=0)
-    if highest == lowest == 0:
-        return [f"burst {burst}: IQ is all zero"]
+    if told := silence(record, burst):
+        return [told]
     warnings = [f"burst {burst}: {told}" for told in unknown_flags(flags, "slots")]
     warnings += silent_slots(burst, iq)
     if told := saturation(record, burst):
@@ -89,8 +124,8 @@ def saturation(record: "RadarRecord", burst: int) -> str:
     """Samples at the converter's rail and slots that are flagged for it; empty where none is."""
     iq, flags = record.iq[burst], record.flags[burst]
     clipped = 0
-    if iq.max(initial=0) >= _RAIL or iq.min(initial=0) <= -_RAIL:
-        clipped = int(np.count_nonzero(iq >= _RAIL) + np.count_nonzero(iq <= -_RAIL))
+    if iq.max(initial=0) >= RAIL or iq.min(initial=0) <= -RAIL:
+        clipped = int(np.count_nonzero(iq >= RAIL) + np.count_nonzero(iq <= -RAIL))
     flagged = int(np.count_nonzero(flags & Flag.SATURATED))
     if not (clipped or flagged):
         return ""

@@ -168,9 +168,7 @@ def reconstruct(
     check_kind("compensation", compensation, Compensation, "hardware.Compensation()")
     check_reference(record, reference_ns)
     solve = method_of(method)
-    received = with_level(record.received)
-    sensing = Sensing(received.patterns, mixing)
-    measured = measurements(received)
+    received, sensing, measured = measured_part(record, mixing)
     variance, most = measured.noise_variance, measured.most_noise_variance
     moving, told_of_search = None, tuple[str, ...]()
     if motion is not None:
@@ -217,6 +215,22 @@ def reconstruct(
         ),
         motion=moving.motion if moving else None,
     )
+
+
+def measured_part(
+    record: SpiRecord, mixing: Mixing | None = None
+) -> tuple[SpiRecord, Sensing, Measurements]:
+    """What arrived of a record, which sums of cells it measures, and their values. Raises
+    InputError where no cell has a value.
+    """
+    received = with_level(record.received)
+    sensing = Sensing(received.patterns, mixing)
+    if not sensing.measured.any():
+        raise InputError(
+            f"patterns: no cell has a value: {received.patterns.count} of those shown arrived, "
+            "which light all cells alike"
+        )
+    return received, sensing, measurements(received)
 
 
 def solved_image(
@@ -371,7 +385,13 @@ def _without_scatter(record: SpiRecord, most: Array) -> Iterator[str]:
             f"noise and standard errors are unknown: {record.patterns.count} patterns show neither "
             "scatter nor detail"
         )
-    if record.flags.all() or not (most < 4 * record.electrons_per_count**2).any():
+    if (most < 4 * record.electrons_per_count**2).any():
+        yield from without_light(record)
+
+
+def without_light(record: SpiRecord) -> Iterator[str]:
+    """A warning of detectors that deliver one count alone."""
+    if record.flags.all():
         return
     if alike := int(np.count_nonzero(np.ptp(record.counts, axis=0) == 0)):
         yield (

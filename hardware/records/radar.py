@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from hardware.described import Described
 from hardware.errors import InputError
 from hardware.records import container
+from hardware.records.container import Flag
 from hardware.records.state import QuaternionPose, RadarFrontEnd
 from hardware.waveform import OfdmWaveform, waveform_of
+
+#: Counts of I and Q, of either sign, from which on a sample stands at the converter's rail.
+RAIL = 32767
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,11 +94,19 @@ class RadarRecord(Described):
         counts = self.iq.astype(np.float64) * self.front_end.root_watt_per_count
         return counts[..., 0] + 1j * counts[..., 1]
 
-    def middle_ns(self, burst: int, n_steps: int | None = None, n_slots: int | None = None) -> int:
-        """Device clock in the middle of a burst, or of its first slots in its first steps: what is
+    @property
+    def n_at_rail(self) -> int:
+        """Slots with samples at an end of the converter's range that are not marked saturated."""
+        if max(self.iq.max(initial=0), -int(self.iq.min(initial=0))) < RAIL:
+            return 0
+        at_rail = ((self.iq >= RAIL) | (self.iq <= -RAIL)).any(axis=(3, 4, 5))
+        return int(np.count_nonzero(at_rail & ((self.flags & Flag.SATURATED) == 0)))
+
+    def middle_ns(self, burst: int, steps: slice = slice(None), slots: slice = slice(None)) -> int:
+        """Device clock in the middle of a burst, or of some slots of some of its steps: what is
         measured of ranges and rates is that of then.
         """
-        times = self.device_time_ns[burst, :n_steps, :n_slots]
+        times = self.device_time_ns[burst, steps, slots]
         slot_ns = round(1e9 * self.waveform.slot_period_s)
         return (int(times[0, 0]) + int(times[-1, -1]) + slot_ns) // 2
 

@@ -10,11 +10,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zmq
+from log_records import camera_record
 from ugv_command import SETTINGS, started, ugv
 
 from hardware.capture import capture
@@ -25,8 +28,26 @@ from hardware.drivers.radio.setup import read_setup, write_setup
 from hardware.drivers.settings import read_settings
 from hardware.radar import OfdmWaveform
 from hardware.recording import Log, read_records
+from hardware.recording.kinds import Record
 from hardware.recording.reading import Ending
-from hardware.records import RadarFrontEnd
+from hardware.records import Flag, QuaternionPose, RadarFrontEnd, RadarRecord
+
+
+def burst_of_noise() -> RadarRecord:
+    wave = OfdmWaveform(79e9, 16, 1e6, 256, 4e-6, 3, 0.0)
+    rng = np.random.default_rng(0)
+    return RadarRecord(
+        iq=np.rint(rng.normal(0, 100, (1, 1, 256, 1, 16, 2))).astype(np.int16),
+        device_time_ns=4000 * np.arange(256).reshape(1, 1, 256),
+        flags=np.zeros((1, 1, 256), np.uint8),
+        carriers_hz=np.array([79e9]),
+        transmitter=np.zeros(256, np.uint8),
+        waveform=wave,
+        front_end=RadarFrontEnd(1e-9, 0.01),
+        device="noise",
+        pose=(QuaternionPose(),),
+    )
+
 
 SCHEDULE = Schedule(OfdmWaveform(2.5e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6), (2.5e9,), 2e-3)
 #: The silent radio asks for this much patience; nothing below may take a third of it.
@@ -258,9 +279,73 @@ def test_a_radar_that_heard_nothing_is_an_error_with_advice(
     assert process.returncode == 2
     assert "3 records" in out
     assert err.count("\n") == 1
-    for part in ("every slot of its 3 records is overrun", "lead_s", "--pace fast"):
+    for part in ("0 of 3 records can be processed: every slot is overrun", "lead_s", "--pace fast"):
         assert part in err
     assert len(list(read_records(run))) == 3
+
+
+def replayed(record: Record, folder: Path) -> "subprocess.CompletedProcess[str]":
+    """`ugv capture -q` of a log of one record."""
+    log = folder / "log.mcap"
+    with Log(log) as writing:
+        writing.record("/record", record, host_ns=1)
+    return ugv("capture", f"replay:{log}?pace=fast", "-o", folder / "run.mcap", "-q")
+
+
+def lost(record: Record, share: float) -> Record:
+    """A record whose first exposures or slots were lost."""
+    flags = np.zeros_like(record.flags)
+    flags.reshape(-1)[: round(share * flags.size)] = Flag.LOST
+    return replace(record, flags=flags)
+
+
+@pytest.mark.parametrize("make", [camera_record, burst_of_noise])
+def test_records_that_cannot_be_processed_are_an_error(make: Any, tmp_path: Path) -> None:
+    """As the live sensor's; they are in the log all the same."""
+    done = replayed(lost(make(), 1.0), tmp_path)
+    assert done.returncode == 2
+    assert "/record: 0 of 1 records can be processed, the first since: " in done.stderr
+    assert len(list(read_records(tmp_path / "run.mcap"))) == 1
+
+
+def test_a_burst_that_is_processed_in_part_is_told(tmp_path: Path) -> None:
+    """Fewer slots are lost than are worth a warning, but a quarter of the burst with them."""
+    record = burst_of_noise()
+    record.flags[0, 0, 64] = Flag.LOST
+    done = replayed(record, tmp_path)
+    assert done.returncode == 0
+    assert done.stderr == (
+        "warning: /record: 1 of 1 records are processed in part: slots are lost\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("record", "told"),
+    [
+        (replace(burst_of_noise(), iq=np.zeros_like(burst_of_noise().iq)), "IQ is all zero"),
+        (
+            replace(lost(camera_record(), 0.0), counts=np.zeros_like(camera_record().counts)),
+            "same count in every exposure",
+        ),
+    ],
+    ids=["radar", "camera"],
+)
+def test_zeros_alone_are_told(record: Record, told: str, tmp_path: Path) -> None:
+    """As processing tells it: a dead input is no recording."""
+    done = replayed(record, tmp_path)
+    assert done.returncode == 0
+    assert "/record: 1 of 1 records hold nothing, the first since: " in done.stderr
+    assert told in done.stderr
+
+
+@pytest.mark.parametrize("flagged", [True, False])
+def test_samples_at_the_rail_are_saturated(flagged: bool, tmp_path: Path) -> None:
+    """Also where the device does not say so."""
+    record = burst_of_noise()
+    record.iq[:] = 2**15 - 1
+    record.flags[:] = Flag.SATURATED * flagged
+    told = "warning: /record: 100 % of its 256 slots are saturated\n"
+    assert told in replayed(record, tmp_path).stderr
 
 
 def test_processing_a_log_that_was_cut_says_how_to_finish_it(

@@ -47,6 +47,39 @@ def from_above(range_m: float, azimuth: float, rate: float = 0.0, **more) -> Ech
 # What can be trusted.
 
 
+def test_the_longest_run_tells_where_targets_are_in_its_middle() -> None:
+    """One lost slot at the third place left nothing. The slots behind it tell range, rate and
+    direction as the whole burst does; the transmitters' turns begin with the other one.
+    """
+    target = from_above(6.0, 0.2, 20.0)
+    record = cube(WIDE, [target], noise_w=1e-10, **MIMO)
+    flags = record.flags.copy()
+    flags[0, 0, 2] = Flag.LOST
+    [whole] = process(record).detections
+    frame = process(replace(record, flags=flags))
+    [found] = frame.detections
+    assert frame.waveform.n_slots == 30
+    times = record.device_time_ns[0, 0]
+    assert frame.middle_ns == (times[3] + times[62] + round(1e9 * WIDE.slot_period_s)) // 2
+    moved_m = 20.0 * 1e-9 * (frame.middle_ns - record.middle_ns(0))
+    assert abs(found.range_m - whole.range_m - moved_m) < 4 * found.range_error_m < abs(moved_m)
+    assert found.range_rate_m_per_s == pytest.approx(whole.range_rate_m_per_s, abs=0.1)
+    off_rad = found.azimuth_rad - whole.azimuth_rad
+    assert abs(off_rad) < 4 * found.azimuth_error_rad < 0.02
+
+
+def test_steps_behind_a_broken_one_are_used() -> None:
+    carriers = 79e9 + WIDE.bandwidth_hz * np.arange(4)
+    record = cube(
+        WIDE, [from_above(3.3, 0.0)], carriers_hz=carriers, leakage=(1e-7, 1e-9), scrambled=False
+    )
+    record.flags[0, 0, 5] = Flag.LOST
+    frame = process(record)
+    assert "processed are steps 1 to 3" in frame.warnings[0]
+    assert frame.waveform.bandwidth_hz == pytest.approx(3 * WIDE.bandwidth_hz)
+    assert frame.detections[0].range_m == pytest.approx(3.3, abs=0.01)
+
+
 @pytest.fixture(scope="module")
 def plain():
     return cube(WIDE, [from_above(3.3, 0.0, 2.0)], noise_w=1e-9)
@@ -58,7 +91,7 @@ def test_a_gap_ends_the_burst(plain) -> None:
     frame = process(replace(plain, device_time_ns=times))
     assert not frame.whole
     assert frame.waveform.n_slots == 40
-    assert "slot 40: after a gap; processed are the 40 slots before it" in frame.warnings[0]
+    assert "slot 40: after a gap; processed are slots 0 to 39 of step 0" in frame.warnings[0]
     assert frame.detections[0].range_m == pytest.approx(3.3, abs=0.01)
 
 
@@ -71,18 +104,18 @@ def test_a_gap_ends_the_burst(plain) -> None:
         (Flag.RESET | Flag.LOST | Flag.SATURATED, "reset and lost"),
     ],
 )
-def test_a_slot_without_its_samples_ends_the_burst(plain, flag: Flag, named: str) -> None:
+def test_a_slot_without_its_samples_splits_the_burst(plain, flag: Flag, named: str) -> None:
     flags = plain.flags.copy()
     flags[0, 0, 10] = flag
     frame = process(replace(plain, flags=flags))
     assert not frame.whole
-    assert frame.waveform.n_slots == 10
-    assert f"slot 10: flagged as {named}; processed are the 10 slots before" in frame.warnings[0]
+    assert frame.waveform.n_slots == 53
+    assert f"slot 10: flagged as {named}; processed are slots 11 to 63" in frame.warnings[0]
 
 
 def test_lost_slots_do_not_lower_the_level(plain) -> None:
     """The zeros in the place of 10 of 64 slots would lower the power by 1.5 dB if they were summed
-    as echoes; the slots before them tell it within its error.
+    as echoes; the slots before them, the longest run, tell it within its error.
     """
     [whole] = process(plain).detections
     flags, iq = plain.flags.copy(), plain.iq.copy()
@@ -102,7 +135,7 @@ def test_what_was_lost_is_never_joined(plain) -> None:
 
 
 @pytest.mark.parametrize("flag", [Flag.OVERRUN, Flag.LOST])
-def test_nothing_before_the_gap_is_an_error(plain, flag: Flag) -> None:
+def test_nothing_without_a_loss_is_an_error(plain, flag: Flag) -> None:
     flags = plain.flags.copy()
     flags[0, 0, :] = flag
     with pytest.raises(ValueError, match=r"burst 0, step 0, slot 0: .* too little"):

@@ -6,6 +6,7 @@ from scipy import fft, stats
 from scipy.linalg import hadamard
 
 from hardware import PatternSet, SpiRecord, reconstruct
+from hardware.errors import InputError
 from hardware.patterns import fwht
 from hardware.reconstruction import METHODS, fits_in_memory, measurements
 from hardware.reconstruction.methods.lmmse import lmmse_plan
@@ -199,3 +200,12 @@ def test_a_set_whose_matrices_do_not_fit_is_refused() -> None:
     assert fits_in_memory("lmmse", PatternSet(64, 64, 1024))
     with pytest.raises(ValueError, match="GiB"):
         lmmse(np.zeros(large.count), 1.0, Sensing(large))
+
+
+def test_patterns_that_light_all_cells_alike_are_an_error() -> None:
+    """Of a plain set the all-lit pattern alone arrived: an image of NaN is none."""
+    patterns = PatternSet(8, 8, 64, mode="plain")
+    record = record_of(patterns.signal(np.full(64, 100.0)), patterns)
+    record.flags[patterns.indices != 0] = Flag.LOST
+    with pytest.raises(InputError, match="no cell has a value: 1 of those shown arrived"):
+        reconstruct(record)
