@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from hardware.errors import InputError
 from hardware.radar.integrity import silence, usable_part
-from hardware.reconstruction.imaging import measured_part, without_light
+from hardware.reconstruction.imaging import measured_part
+from hardware.reconstruction.no_light import without_light
 from hardware.records import RadarRecord, SpiRecord
 
 
@@ -30,7 +31,7 @@ def usability(record: SpiRecord | RadarRecord) -> Usability:
 
 
 def _of_camera(record: SpiRecord) -> Usability:
-    return Usability(silence=next(without_light(measured_part(record)[0]), ""))
+    return Usability(silence=next(without_light(*measured_part(record)), ""))
 
 
 def _of_radar(record: RadarRecord) -> Usability:

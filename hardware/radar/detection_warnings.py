@@ -19,6 +19,7 @@ from hardware.waveform import C_M_PER_S, OfdmWaveform
 if TYPE_CHECKING:
     from hardware.records.radar import RadarRecord
 
+_LOWERS = 0.1  # rad^2, which lowers levels by 0.4 dB
 _FEW_COUNTS = 4.0  # rms of a branch: echoes of 5 counts are within 0.1 dB
 
 
@@ -160,13 +161,19 @@ def mixed_directions(fits: Sequence[bool], how: Processing) -> list[str]:
 
 
 def scattered_phases(burst: int, variance: float, n_left_out: int) -> list[str]:
-    """A warning of peaks that phases of slots make beside a strong echo."""
-    if not n_left_out:
+    """A warning of what phases of slots, of this variance in rad^2, do to strong echoes: levels
+    fall by exp(-variance), and peaks appear beside them.
+    """
+    if not n_left_out and variance < _LOWERS:
         return []
+    left_out = (
+        f"; {n_left_out} peaks at the delays of stronger echoes, whose spread over the rates they "
+        "may be, are left out"
+    )
     return [
-        f"burst {burst}: phases differ from slot to slot by {variance**0.5:.2g} rad: {n_left_out} "
-        "peaks at the delays of stronger echoes, whose spread over the rates they may be, are "
-        "left out"
+        f"burst {burst}: phases differ from slot to slot by {variance**0.5:.2g} rad: levels are "
+        f"some {10 * np.log10(np.e) * variance:.2g} dB too low, and no errors hold it"
+        f"{left_out if n_left_out else ''}"
     ]
 
 

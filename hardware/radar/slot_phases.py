@@ -28,16 +28,24 @@ Complex = NDArray[np.complex128]
 
 _NEAR_CELLS = 4.0  # of range, within which the window of `_over_the_echo` keeps echoes
 _STRONG = 0.01  # of the strongest echo's power
+_STEADY = 0.1  # variance of log amplitudes; of an echo 0.45 of another's amplitude it is as much
 
 
 def phase_variance(echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst) -> float:
     """Variance in rad^2 of the phases of single slots, if white, beyond noise, as the first of the
     echoes, the strongest, shows them; 0 where what is seen may be noise.
+
+    Phases of more than half a radian spread enough of an echo that peaks of it pass for others at
+    its delay, whose sum explains them. Such a sum changes amplitude as much as phase: where the
+    amplitude is steady there is one echo alone.
     """
     if not echoes:
         return 0.0
     turn = _over_the_echo(echoes[0], burst)
-    return white_variance(turn / _of_echoes(turn, echoes, burst.waveform))
+    of_sum = white_variance(turn / _of_echoes(turn, echoes, burst.waveform))
+    size = np.maximum(np.abs(turn), np.finfo(float).tiny)
+    is_one = np.log(size).var(axis=0).mean() < _STEADY
+    return white_variance(turn) if is_one and not of_sum else of_sum
 
 
 def _of_echoes(turn: Complex, echoes: Sequence[EchoMeasurement], wave: OfdmWaveform) -> Complex:
@@ -139,7 +147,7 @@ def _spread(echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance
     wave = burst.waveform
     apart = cells_apart(echoes, echoes, wave)[..., 0]
     lobe = side_lobe(apart[..., None], np.array([wave.n_subcarriers]))[..., 0]
-    return np.asarray(variance / wave.n_slots * lobe)
+    return np.asarray(np.expm1(variance) / wave.n_slots * lobe)
 
 
 def without_spread(

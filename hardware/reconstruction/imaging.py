@@ -23,6 +23,7 @@ from hardware.reconstruction.motion.estimation import Search
 from hardware.reconstruction.motion.knobs import STANDARD, Compensation
 from hardware.reconstruction.motion.model import Motion
 from hardware.reconstruction.negative_light import beyond_all_light, negative_light
+from hardware.reconstruction.no_light import without_light
 from hardware.reconstruction.noise import errors_in_95_of_noise, finest_patterns, is_full
 from hardware.reconstruction.own_method import method_of
 from hardware.reconstruction.registry import Array, Method, Solve
@@ -206,6 +207,7 @@ def reconstruct(
             *_unmeasured(sensing),
             *_with_background(received),
             *_without_scatter(received, most),
+            *without_light(received, sensing, measured),
             *_without_detail(error, most),
             *negative_light(received, measured),
             *beyond_all_light(received, measured),
@@ -227,8 +229,8 @@ def measured_part(
     sensing = Sensing(received.patterns, mixing)
     if not sensing.measured.any():
         raise InputError(
-            f"patterns: no cell has a value: {received.patterns.count} of those shown arrived, "
-            "which light all cells alike"
+            f"patterns: all alike, no cell has a value: {received.patterns.count} of those shown "
+            "arrived"
         )
     return received, sensing, measurements(received)
 
@@ -384,19 +386,6 @@ def _without_scatter(record: SpiRecord, most: Array) -> Iterator[str]:
         yield (
             f"noise and standard errors are unknown: {record.patterns.count} patterns show neither "
             "scatter nor detail"
-        )
-    if (most < 4 * record.electrons_per_count**2).any():
-        yield from without_light(record)
-
-
-def without_light(record: SpiRecord) -> Iterator[str]:
-    """A warning of detectors that deliver one count alone."""
-    if record.flags.all():
-        return
-    if alike := int(np.count_nonzero(np.ptp(record.counts, axis=0) == 0)):
-        yield (
-            f"{alike} of {record.counts.shape[1]} detectors gave the same count in every exposure: "
-            "no light is told from the rounding of counts"
         )
 
 

@@ -24,6 +24,8 @@ from hardware.reconstruction.measurements import Measurements
 from hardware.reconstruction.noise import errors_of_few, finest_patterns, freedom
 from hardware.records import SpiRecord
 
+Array = NDArray[np.float64]
+
 #: Variance that the constant of sets without complements adds to that of a value, at most: two
 #: references half of it, the mean of two or more of the finest values half or less.
 _WITH_CONSTANT = 1.5
@@ -36,13 +38,12 @@ def negative_light(record: SpiRecord, measured: Measurements) -> Iterator[str]:
     difference of two taps, whose sums have either sign: nothing is told of them.
     """
     patterns = record.patterns
-    sums = _sums_of_light(patterns)
+    sums = sums_of_light(patterns)
     if not sums.any() or any(shutter.modulated for shutter in record.shutters):
         return
     paired = patterns.mode in ("differential", "complementary")
     light = measured.values[sums].mean(axis=0)
-    factor = 1.0 if paired else _WITH_CONSTANT
-    error = np.sqrt(factor * measured.most_noise_variance)
+    error = error_of_a_sum(patterns, measured)
     least = errors_of_few(freedom(patterns))
     if not (negative := light < -least * error).any():
         return
@@ -91,7 +92,14 @@ def beyond_all_light(record: SpiRecord, measured: Measurements) -> Iterator[str]
     )
 
 
-def _sums_of_light(patterns: Patterns) -> NDArray[np.bool_]:
+def error_of_a_sum(patterns: Patterns, measured: Measurements) -> Array:
+    """Standard error of the light of all cells, ``(n_images,)``."""
+    paired = patterns.mode in ("differential", "complementary")
+    factor = 1.0 if paired else _WITH_CONSTANT
+    return np.asarray(np.sqrt(factor * measured.most_noise_variance))
+
+
+def sums_of_light(patterns: Patterns) -> NDArray[np.bool_]:
     """Values in which no cell counts negatively."""
     if isinstance(patterns, OwnPatterns):
         return np.asarray((patterns.matrix >= 0).all(axis=1))

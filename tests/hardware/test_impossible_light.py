@@ -243,3 +243,29 @@ def test_one_bright_cell_or_one_pattern_alone_is_no_wrong_count(kind: str) -> No
             light = patterns.signal(cells.ravel()).astype(float) + 1e4
             light += 50 * np.random.default_rng(seed).normal(size=light.shape)
             assert not told(record_of(light, patterns), "larger than all light")
+
+
+@pytest.mark.parametrize("mode", ["differential", "complementary", "reference", "plain"])
+def test_noise_alone_is_told(mode: Any) -> None:
+    """One image in 1000 without light is not told so, by chance; of 100 two are in 1 of 200."""
+    patterns = PatternSet(16, 16, 256, "sequency", mode)
+    rng = np.random.default_rng(3)
+    assert sum(no_light(patterns, np.zeros(256), rng) for _ in range(100)) >= 98
+
+
+@pytest.mark.parametrize("mode", ["differential", "complementary", "reference", "plain"])
+def test_faint_light_is_not_told_as_none(mode: Any) -> None:
+    """Even light of 10 standard errors of the sum of all cells, a cell of 10 of its own."""
+    patterns = PatternSet(16, 16, 256, "sequency", mode)
+    rng = np.random.default_rng(4)
+    even, cell = np.full(256, 10 * 80.0 / 256), np.zeros(256)
+    cell[100] = 10 * 80.0 / 16
+    for cells in (even, cell):
+        assert not any(no_light(patterns, cells, rng) for _ in range(20))
+
+
+def no_light(patterns: PatternSet, cells: np.ndarray, rng: np.random.Generator) -> bool:
+    """Whether an image is told to hold no light; a value's noise is 80 electrons at most."""
+    light = 5000 + patterns.signal(cells)
+    found = reconstruct(record_of(light + rng.normal(0, 40, light.shape), patterns), "zero-fill")
+    return any("hold no light above their noise" in text for text in found.warnings)

@@ -148,3 +148,31 @@ def test_noise_whose_peaks_are_all_left_out_has_no_detections(seed: int) -> None
     wave = replace(WAVE, n_subcarriers=16)
     record = cube(wave, [], noise_w=1e-12, counts=100, seed=seed)
     assert not process(record, how=Processing(cfar=Cfar(1e-3))).detections
+
+
+@pytest.mark.parametrize("phase_rad", [0.85, 1.5, 6.0])
+def test_an_oscillator_that_is_not_locked_is_told(phase_rad: float) -> None:
+    """Its peaks at other rates passed for echoes that explain the phases, and half of the records
+    at 0.85 rad had no warning.
+    """
+    rng = np.random.default_rng(11)
+    more = 0
+    for seed in range(10):
+        record = echo_of(45.0, 0.2, seed, {})
+        frame = process(turned(record, phase_rad * rng.normal(size=64)))
+        assert any("phases differ from slot to slot" in text for text in frame.warnings)
+        more += len(frame.detections) - 1
+    assert more <= 10
+
+
+@pytest.mark.parametrize("n_others", [1, 3])
+def test_several_echoes_at_a_delay_are_no_phases_of_slots(n_others: int) -> None:
+    """Their sum changes amplitude as much as phase."""
+    rng = np.random.default_rng(12)
+    for seed in range(10):
+        others = [
+            moving(0.2, rate, power_w=rng.uniform(1e-10, 8e-10), phase_rad=rng.uniform(0, 6))
+            for rate in rng.permutation([-15.0, -9.0, 8.0, 14.0])[:n_others]
+        ]
+        frame = process(echo_of(60.0, 0.2, seed, {}, *others))
+        assert not any("phases differ" in text for text in frame.warnings)
