@@ -62,6 +62,13 @@ def check_positive(name: str, value: Any) -> None:
         raise InputError(f"{name}: {value!r:.60} is not a positive number")
 
 
+def check_between(name: str, value: Any, least: float, most: float) -> None:
+    """Raise InputError unless an argument is a positive number from ``least`` to ``most``."""
+    check_positive(name, value)
+    if not least <= value <= most:
+        raise InputError(f"{name}: {value!r:.60}, expected a number from {least:g} to {most:g}")
+
+
 def check_switch(name: str, value: object) -> None:
     """Raise InputError unless an argument is True or False."""
     if not isinstance(value, bool):

@@ -10,11 +10,17 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError, check_choice, check_count, check_finite, check_positive
+from hardware.errors import InputError, check_between, check_choice, check_count, check_finite
 from hardware.symbols import OwnSymbols, own_symbols
 
 C_M_PER_S = 299_792_458.0
 Symbols = Literal["zadoff-chu", "flat"]
+#: Beyond these a radar's times and frequencies are none: their products are numbers.
+_BETWEEN = {
+    "carrier_hz": (1.0, 1e15),
+    "subcarrier_spacing_hz": (1e-6, 1e15),
+    "slot_period_s": (1e-15, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,8 @@ class OfdmWaveform:
             object.__setattr__(self, "symbols", "own")
         elif self.symbols != "own":
             object.__setattr__(self, "own", None)
-        for name in ("carrier_hz", "subcarrier_spacing_hz", "slot_period_s"):
-            check_positive(name, getattr(self, name))
+        for name, (least, most) in _BETWEEN.items():
+            check_between(name, getattr(self, name), least, most)
         for name in ("n_subcarriers", "n_slots", "repeats"):
             check_count(name, getattr(self, name))
         check_finite("prefix_s", self.prefix_s)

@@ -83,6 +83,8 @@ def with_steady_phase(
     of a transmitter have in common is not removed: the phase of its own leakage is unknown.
     """
     n, samples = waveform.n_subcarriers, samples[: schedule.size]
+    if schedule.shape[1] == 1:  # against no other slot
+        return samples, 0.0
     path = (
         _leak(waveform, delay_s, normalised_window("blackmanharris", n))
         .conj()

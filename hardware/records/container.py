@@ -21,6 +21,9 @@ from hardware.records.global_heap import has_endless_heap
 
 #: Bytes that an array may unpack to, over those that it takes in the file: deflate's limit.
 _MOST_RATIO = 1032
+#: The same of arrays that are written as they are, and the bytes that such a one may unpack to in
+#: any case: whoever compresses them may read them again.
+_MOST_RATIO_OF_PLAIN, _ANY_BYTES = 16, 1 << 26
 _MOST_ATTRIBUTE_BYTES = 1 << 16
 #: Bytes of an array with one checksum; HDF5 checks none of an array in one piece.
 _CHUNK_BYTES = 1 << 20
@@ -204,7 +207,7 @@ def read(layout: Layout, path: str | Path) -> tuple[dict[str, Any], dict[str, An
                     parameters[name] = tuple(_array(group, name, np.dtype(np.int64)).tolist())
             for name, dtype in layout.group_arrays.items():
                 if name in group:
-                    parameters[name] = _array(group, name, np.dtype(dtype))
+                    parameters[name] = _array(group, name, np.dtype(dtype), is_packed=True)
             return values, parameters
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -302,8 +305,10 @@ def _inside(group: Any, name: str) -> Any:
     return group[name]
 
 
-def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
-    """An array of a type, if the file holds it: neither empty promises nor another file's bytes."""
+def _array(group: Any, name: str, dtype: "np.dtype[Any]", *, is_packed: bool = False) -> Any:
+    """An array of a type, if the file holds it: neither empty promises nor another file's bytes.
+    ``is_packed``: it is written compressed.
+    """
     import h5py
 
     dataset = _inside(group, name)
@@ -313,7 +318,8 @@ def _array(group: Any, name: str, dtype: "np.dtype[Any]") -> Any:
     if dataset.is_virtual or dataset.external:
         raise InputError(f"{name}: stands in another file, expected it in this one")
     held = min(dataset.id.get_storage_size(), dataset.file.id.get_filesize())
-    if dataset.nbytes > _MOST_RATIO * held:
+    most = max(_MOST_RATIO_OF_PLAIN * held, _ANY_BYTES)
+    if dataset.nbytes > _MOST_RATIO * held or (dataset.nbytes > most and not is_packed):
         raise InputError(
             f"{name}: {dataset.nbytes} bytes of shape {dataset.shape}, but the file holds {held}"
         )

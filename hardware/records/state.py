@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hardware.errors import InputError, check_finite, check_positive
+from hardware.errors import InputError, check_between, check_finite
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -137,6 +137,10 @@ def _origin() -> Array:
 _LARGEST = {"antenna_gain_dbi": 1000.0, "losses_db": 1000.0, "leakage_delay_s": 1.0}
 
 
+#: Beyond these a radar's power is none, and single precision does not hold its square.
+_POWERS = {"root_watt_per_count": (1e-15, 1e3), "transmit_power_w": (1e-15, 1e12)}
+
+
 @dataclass(frozen=True, eq=False)
 class RadarFrontEnd:
     """A radar between its antennas and its counts, as calibration and mounting tell it.
@@ -180,5 +184,5 @@ class RadarFrontEnd:
             is_unknown = isinstance(value, float) and math.isnan(value)
             if not is_null and not is_unknown:
                 check_finite(name, value, _LARGEST[name])
-        for name in ("root_watt_per_count", "transmit_power_w"):
-            check_positive(name, getattr(self, name))
+        for name, (least, most) in _POWERS.items():
+            check_between(name, getattr(self, name), least, most)

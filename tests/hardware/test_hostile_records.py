@@ -62,6 +62,13 @@ def unpacked(file: h5py.File) -> None:
     made[: 2**22] = np.zeros((2**22, 1), np.int32)
 
 
+def unpacked_whole(file: h5py.File) -> None:
+    """128 MiB of zeros in 130 kB, all of it there."""
+    made = file.create_dataset("counts", (64, 2**19), "i4", chunks=(64, 2**14), compression="gzip")
+    for at in range(0, 2**19, 2**14):
+        made[:, at : at + 2**14] = 0
+
+
 def linked(file: h5py.File) -> None:
     file["counts"] = h5py.ExternalLink("other.h5", "/counts")
 
@@ -122,6 +129,7 @@ def patterns_elsewhere(file: h5py.File) -> None:
     [
         (promised, "counts: 274877906944 bytes of shape .*, but the file holds 0"),
         (unpacked, "counts: 268435456 bytes of shape .*, but the file holds"),
+        (unpacked_whole, "counts: 134217728 bytes of shape .*, but the file holds"),
         (linked, "counts: stands in another file"),
         (stored_elsewhere, "counts: stands in another file"),
         (virtual, "counts: stands in another file"),

@@ -55,6 +55,7 @@ CHANNEL = channel(RECORD)
                 ("repeats", True),
                 ("repeats", "x"),
                 ("carrier_hz", "x"),
+                ("slot_period_s", 1e308),
                 ("prefix_s", None),
                 ("symbols", np.ones(2)),
             )
@@ -68,6 +69,9 @@ CHANNEL = channel(RECORD)
                 ("receivers_m", 0),
                 ("transmitters_m", np.zeros(3)),
                 ("root_watt_per_count", None),
+                ("root_watt_per_count", 1e-308),
+                ("root_watt_per_count", 1e-25),
+                ("root_watt_per_count", 1e308),
                 ("transmit_power_w", True),
             )
         ),

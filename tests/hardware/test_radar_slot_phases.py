@@ -165,6 +165,16 @@ def test_an_oscillator_that_is_not_locked_is_told(phase_rad: float) -> None:
     assert more <= 10
 
 
+def test_one_slot_is_held_against_no_other() -> None:
+    """Its phases are those of its transmitter's mean: NumPy warned of 0 over 0."""
+    one = replace(WAVE, n_slots=1)
+    more = {"leakage": (1e-8, 2e-9), "noise_w": 1e-14}
+    carriers_hz = 79e9 + one.bandwidth_hz * np.arange(4)
+    with np.errstate(all="raise"):
+        burst = demodulate(cube(one, [moving(0.0, 0.0)], carriers_hz=carriers_hz, **more))
+    assert burst.removed_variance == 0.0
+
+
 @pytest.mark.parametrize("n_others", [1, 3])
 def test_several_echoes_at_a_delay_are_no_phases_of_slots(n_others: int) -> None:
     """Their sum changes amplitude as much as phase."""
