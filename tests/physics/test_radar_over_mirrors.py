@@ -11,6 +11,8 @@ from scipy.special import wofz
 from benchmarks.kirchhoff import echo_behind
 from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, quad, world
 from tests.physics.shadow_worlds import Array, K
+from twin.radar.propagation.diffraction.cell_echoes import middle_facets
+from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace
 from twin.scene import SceneObject, Target
@@ -258,3 +260,17 @@ def test_the_waves_of_a_wires_two_edges_cancel() -> None:
     wire = upright("wire", *(tuple(end) for end in ends), radar="obstacle")
     free, found = seen(wall), seen(wall, wire)
     assert stated(found) < stated(free) + 0.45 * abs(echo(free))
+
+
+def test_waves_to_a_cell_are_looked_for_where_both_ways_meet_it() -> None:
+    """A box beside the way over a wall: its middle seen from the radar is on a side along which the
+    image looks, so that the box hides it from the border's waves, and all of its echo over the wall
+    had none.
+    """
+    along_x = np.array([[[0, 0, 0], [1, 0, 0], [0, 0, 1]]]) + [0.0, -0.5, 0.0]
+    askew = np.array([[[0, 0, 0], [1, 1, 0], [0, 0, 1]]]) + [0.0, -0.6, 0.0]
+    none = np.zeros(2, dtype=np.int64)
+    some = Facets(np.concatenate([along_x, askew]), none, none)
+    radar_m, image_m = np.array([0.2, -9.0, 0.3]), np.array([90.0, -0.51, 0.3])
+    assert middle_facets(some, radar_m) == [0]
+    assert middle_facets(some, radar_m, image_m) == [1]

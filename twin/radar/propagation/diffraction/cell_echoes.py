@@ -52,7 +52,7 @@ def cell_echoes(
     facets, is_lit = shown_facets(views, facets, body)
     if not len(facets):
         return Contributions.none(), 0.0, 0.0
-    row = middle_facets(facets, views.one.place)
+    row = middle_facets(facets, *(view.place for view in views.each))
     place, normal = facets.middle[row], facets.normal(views.one.place)[row]
     off = offset_m(place) * normal
     straight = [view.straight(place, off) for view in views.each]
@@ -91,12 +91,13 @@ def _of_paths(ways: Ways, over_edges: Complex, beyond: Complex) -> Complex:
     return found
 
 
-def middle_facets(facets: Facets, place: Array) -> Indices:
-    """The facet in the middle of each cell as seen from a place, (n_cells,): not one that is far
-    from square to the way, which the body may hide from waves that the others are reached by.
+def middle_facets(facets: Facets, *places: Array) -> Indices:
+    """The facet in the middle of each cell as seen from places (3,), (n_cells,): not one that is
+    far from square to any way, which the body may hide from waves that the others are reached by.
     """
-    middle, cell, towards = facets.middle, facets.cell, place - facets.middle
-    weight = np.abs(dots(facets.across, towards)) / lengths(towards)
+    middle, cell = facets.middle, facets.cell
+    towards = [place - middle for place in places]
+    weight = np.min([np.abs(dots(facets.across, way)) / lengths(way) for way in towards], axis=0)
     total = np.maximum(np.bincount(cell, weight), 1e-300)
     center = np.stack([np.bincount(cell, weight * x) / total for x in middle.T], axis=1)
     facing = weight / lengths(facets.across)
