@@ -3,21 +3,24 @@ scheduler.
 """
 
 import os
+import pickle
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache, partial
-from multiprocessing import resource_tracker
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from functools import cache, lru_cache, partial
+from hashlib import blake2b
+from multiprocessing import active_children, resource_tracker
+from typing import TYPE_CHECKING, Any, Self
 
 from twin.errors import EngineError
 from twin.files import InputError
 
 if TYPE_CHECKING:
-    from distributed import LocalCluster
+    from distributed import Client, Future, LocalCluster
 
 #: What a process that traces a radar's echoes may take.
 _MEMORY_BYTES = 3e9
@@ -26,6 +29,12 @@ _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the nu
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
 _TRACKER = "ignore:resource_tracker:UserWarning"
 _ENVIRONMENT, _TRIM = "distributed.nanny.pre-spawn-environ", "MALLOC_TRIM_THRESHOLD_"
+#: A piece of work may be large, and a process that is started anew come late: by default Dask warns
+#: of the one, and gives up the other.
+_SETTINGS = {
+    "distributed.admin.large-graph-warning-threshold": "1TB",
+    "distributed.deploy.lost-worker-timeout": _WITHOUT_WORKERS_S,
+}
 _SILENT = 50  # level of Dask's own messages: that of what is critical
 
 
@@ -34,7 +43,13 @@ class WorkerDiedError(EngineError):
 
 
 class SchedulerGoneError(EngineError):
-    """There is nobody to compute: the scheduler is gone, or a process died while it started."""
+    """There is nobody to compute: the scheduler is gone, has had no workers for a minute, or a
+    process died while it started.
+    """
+
+
+class AskedToEndError(EngineError):
+    """What was to compute was asked to end while it waited for workers."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +61,7 @@ class Submit:
     send: Callable[..., Any]
     result: Callable[[Any], Any]
     ahead: int
-    #: Of a large argument of much work: what to give in its place, so that it is sent once.
+    #: Of an argument of much work: what to give in its place, so that each process has one object.
     share: Callable[[Any], Any] = lambda value: value
 
     def __call__(self, work: Callable[..., Any], *args: Any) -> Any:
@@ -61,35 +76,50 @@ def here() -> Iterator[Submit]:
 
 
 @contextmanager
-def dask(scheduler: str | None, workers: int | None) -> Iterator[Submit]:
-    """Dask's workers: a local cluster, or a running one.
+def dask(
+    scheduler: str | None, workers: int | None, is_over: Callable[[], bool] = lambda: False
+) -> Iterator[Submit]:
+    """Dask's workers: a local cluster, or a running one. When it ``is_over``, nothing waits for
+    workers any more.
 
-    Raises InputError where a scheduler can't be reached, or has no workers for a minute.
+    Raises InputError where a scheduler can't be reached, `SchedulerGoneError` where it has no
+    workers for a minute, `AskedToEndError`.
     """
+    from dask.config import set as configured
     from distributed import Client
-    from distributed.comm.addressing import get_address_host
     from distributed.utils import silence_logging_cmgr
 
     if scheduler is not None:
-        try:
-            # A client that fails at this tells of it once more when it is thrown away.
-            get_address_host(scheduler)
-            client = Client(scheduler, timeout="10s", set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
-        with silence_logging_cmgr(_SILENT), client:  # a lost connection is told by an error
-            watch = _Watch(client, scheduler)
-            yield Submit(watch.send, watch.result, _AHEAD * watch.wait(), watch.share)
+        client = _client_of(scheduler)
+        # A lost connection is told by an error.
+        with configured(_SETTINGS), silence_logging_cmgr(_SILENT), client:
+            name, advice = f"scheduler {scheduler}", f"start one: dask worker {scheduler}"
+            pool = _Pool(client, is_over, name, advice)
+            yield Submit(pool.send, pool.result, _AHEAD * pool.wait(), Shared.of)
         return
     n = workers or n_cores()
     threads = max(1, n_cores() // n)
     with (
+        configured(_SETTINGS),
         _loop() as loop,
-        _local(n, loop) as cluster,
+        _local(n, loop, is_over) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        send, share = partial(_send, client, _on_threads, threads), partial(_share, client)
-        yield Submit(send, _result_of_local, _AHEAD * n, share)
+        pool = _Pool(client, is_over, "scheduler of this process")
+        yield Submit(partial(pool.send, _on_threads, threads), pool.result, _AHEAD * n, Shared.of)
+
+
+def _client_of(scheduler: str) -> "Client":
+    """Raises InputError where it can't be reached."""
+    from distributed import Client
+    from distributed.comm.addressing import get_address_host
+
+    try:
+        # A client that fails at this tells of it once more when it is thrown away.
+        get_address_host(scheduler)
+        return Client(scheduler, timeout="10s", set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
 
 
 def check_workers(workers: int | None) -> None:
@@ -136,7 +166,7 @@ def _loop() -> Iterator[Any]:
         runner.stop()
 
 
-def _local(n: int, loop: Any) -> "LocalCluster":
+def _local(n: int, loop: Any, is_over: Callable[[], bool]) -> "LocalCluster":
     """Processes here; of one that dies later another takes the place."""
     import dask.config
     from distributed import LocalCluster
@@ -145,7 +175,7 @@ def _local(n: int, loop: Any) -> "LocalCluster":
     # each time: a frame of the radar takes 1.4 times as long.
     environment = {n: v for n, v in dask.config.get(_ENVIRONMENT).items() if n != _TRIM}
     try:
-        with dask.config.set({_ENVIRONMENT: environment}):
+        with dask.config.set({_ENVIRONMENT: environment}), _children_killed_when(is_over):
             return LocalCluster(
                 n_workers=n,
                 loop=loop,
@@ -155,57 +185,156 @@ def _local(n: int, loop: Any) -> "LocalCluster":
                 silence_logs=_SILENT,
             )
     except RuntimeError as error:
+        if is_over():
+            raise AskedToEndError("workers were starting") from error
         raise SchedulerGoneError(f"a worker's process died while it started ({error})") from error
 
 
-class _Watch:
-    """Waits for a scheduler's workers, and says so while there are none."""
+@contextmanager
+def _children_killed_when(is_over: Callable[[], bool]) -> Iterator[None]:
+    """Processes that this one starts meanwhile are killed when it is over: a cluster ends only when
+    all of its processes have started, or failed to.
+    """
+    before, started = set(active_children()), threading.Event()
 
-    def __init__(self, client: Any, address: str) -> None:
-        self._client, self._address = client, address
+    def watch() -> None:
+        while not started.wait(_LOOK_S / 10):
+            if is_over():
+                for child in set(active_children()) - before:
+                    child.kill()
 
-    def send(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Work sent, and what waits for it."""
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        started.set()
+        watching.join()
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A value that much work needs, as the bytes of its pickle, and their digest.
+
+    The bytes travel with each piece of work. Had they been sent once, work that is waiting would be
+    lost with the last process that holds them, and a process that comes later would lack them.
+    A process unpickles them once: what is found of the value, and kept by its identity, serves all
+    its pieces.
+    """
+
+    digest: bytes
+    pickled: bytes = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, value: Any) -> Self:
+        """Of a value, pickled as Dask pickles arguments."""
+        from distributed.protocol.pickle import dumps
+
+        pickled = dumps(value)
+        return cls(blake2b(pickled).digest(), pickled)
+
+
+@lru_cache(maxsize=1)
+def _value_of(shared: Shared) -> Any:
+    return pickle.loads(shared.pickled)
+
+
+def _with_values(work: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    """Work done, with the values of what is shared."""
+    return work(*(_value_of(arg) if isinstance(arg, Shared) else arg for arg in args))
+
+
+def _call_of_pickle() -> Callable[[bytes], Any]:
+    """What makes a pickled call. As a function within one it is sent by value: a worker that lacks
+    this project, or has another version, can load it too, and say so.
+    """
+
+    def call(pickled: bytes) -> Any:
+        import pickle
+
+        from distributed import get_worker
+
+        try:
+            work, args = pickle.loads(pickled)
+        except (ImportError, AttributeError) as error:
+            raise ImportError(f"worker {get_worker().address}: {error}") from None
+        return work(*args)
+
+    return call
+
+
+class _Pool:
+    """The workers of a scheduler.
+
+    Parameters
+    ----------
+    client
+        Of it.
+    is_over
+        Whether no worker is waited for any more.
+    name
+        Of the scheduler, in messages.
+    advice
+        What to do where it has no workers; empty: they come by themselves.
+    """
+
+    def __init__(
+        self, client: "Client", is_over: Callable[[], bool], name: str, advice: str = ""
+    ) -> None:
+        self._client, self._is_over, self._name, self._advice = client, is_over, name, advice
+
+    def send(self, work: Callable[..., Any], *args: Any) -> "Future":
+        """Work sent, and what waits for it. Where a worker dies or leaves another one does it."""
+        from distributed.protocol.pickle import dumps
+
+        pickled = dumps((_with_values, (work, args)))
         with self._told():
-            return _send(self._client, work, *args)
+            return self._client.submit(_call_of_pickle(), pickled, pure=False, retries=2)
 
-    def share(self, value: Any) -> Any:
-        """A value that all workers have, by name."""
-        with self._told():
-            return _share(self._client, value)
+    def result(self, future: "Future") -> Any:
+        """A result; the last worker may go while one waits for it."""
+        from distributed import KilledWorker
+
+        while not self._is_done(future):
+            self.wait()
+        try:
+            with self._told():
+                return future.result()
+        except KilledWorker as error:
+            raise WorkerDiedError("the worker's process died") from error
+        except ImportError as error:
+            raise EngineError(
+                f"{self._name}: {error}; all machines need the same version of the project and of "
+                "its libraries"
+            ) from error
 
     def wait(self) -> int:
         """How many workers there are, once there is one."""
-        begin, said = time.monotonic(), False
-        while not (n := self._workers()):
+        begin, words = time.monotonic(), f"{self._name}: no workers{{}} {_WITHOUT_WORKERS_S:.0f} s"
+        words += self._advice and f"; {self._advice}"
+        said = not self._advice
+        while not (n := self._n_workers()):
             if not said:
                 said = True
-                print(
-                    f"scheduler {self._address}: no workers; waiting {_WITHOUT_WORKERS_S:.0f} s; "
-                    f"start one: dask worker {self._address}",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                print(words.format("; waiting"), file=sys.stderr, flush=True)
+            if self._is_over():
+                raise AskedToEndError(f"{self._name}: no workers")
             if time.monotonic() - begin > _WITHOUT_WORKERS_S:
-                raise InputError(
-                    f"scheduler: {self._address!r}: no workers for {_WITHOUT_WORKERS_S:.0f} s; "
-                    f"start one: dask worker {self._address}; what is done stays"
-                )
+                raise SchedulerGoneError(words.format(" for"))
             time.sleep(min(_LOOK_S, _WITHOUT_WORKERS_S / 4))
         return n
 
-    def result(self, future: Any) -> Any:
-        """A result; the last worker may go while one waits for it."""
+    def _is_done(self, future: "Future") -> bool:
         from distributed import TimeoutError as NotYetError
 
-        while True:
-            try:
-                with self._told():
-                    return _result(future, _LOOK_S)
-            except NotYetError:
-                self.wait()
+        try:
+            with self._told():
+                future.exception(timeout=_LOOK_S)
+        except NotYetError:
+            return False
+        return True
 
-    def _workers(self) -> int:
+    def _n_workers(self) -> int:
         with self._told():
             return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
@@ -219,34 +348,7 @@ class _Watch:
         try:
             yield
         except (CancelledError, ClosedClientError, CommClosedError) as error:
-            raise SchedulerGoneError(f"scheduler {self._address} has gone") from error
-
-
-def _result(future: Any, timeout_s: float | None = None) -> Any:
-    from distributed import KilledWorker
-
-    try:
-        return future.result(timeout=timeout_s)
-    except KilledWorker as error:
-        raise WorkerDiedError("the worker's process died") from error
-
-
-def _result_of_local(future: Any) -> Any:
-    """What is shared dies with the last process that holds it, and so does work that needs it."""
-    from distributed import CancelledError
-
-    try:
-        return _result(future)
-    except CancelledError as error:
-        raise SchedulerGoneError("all processes have died") from error
-
-
-def _share(client: Any, value: Any) -> Any:
-    return client.scatter(value, broadcast=True, hash=False)
-
-
-def _send(client: Any, work: Callable[..., Any], *args: Any) -> Any:
-    return client.submit(work, *args, pure=False, retries=2)
+            raise SchedulerGoneError(f"{self._name} has gone") from error
 
 
 def _on_threads(n: int, work: Callable[..., Any], *args: Any) -> Any:

@@ -505,7 +505,7 @@ def test_a_scheduler_without_workers_is_said(
     monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 1.0)
     quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
     with LocalCluster(n_workers=0, processes=False, **quiet) as cluster:
-        with pytest.raises(InputError, match="no workers for 1 s; start one: dask worker"):
+        with pytest.raises(SchedulerGoneError, match="no workers for 1 s; start one: dask worker"):
             run_sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
         assert "no workers; waiting" in capsys.readouterr().err
         monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 60.0)

@@ -1,10 +1,18 @@
 """Processes that compute a sweep's points."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
-from twin.workers import dask
+import pytest
+from distributed import LocalCluster
+
+from twin.errors import EngineError
+from twin.workers import AskedToEndError, dask
 
 #: An end that closes nothing, as of a kill, with what a cluster holds meanwhile.
 ENDED_EARLY = """
@@ -12,10 +20,84 @@ import multiprocessing, os
 from twin.workers import _local, _loop
 
 if __name__ == "__main__":
-    with _loop() as loop, _local(1, loop):
+    with _loop() as loop, _local(1, loop, lambda: False):
         held = multiprocessing.get_context("spawn").Lock()
         os._exit(130)
 """
+
+
+@pytest.fixture
+def running() -> Iterator[LocalCluster]:
+    """A running scheduler, so far without workers."""
+    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
+    where = {"host": "127.0.0.1", "protocol": "tcp"}
+    with LocalCluster(n_workers=0, processes=False, **quiet, **where) as cluster:
+        yield cluster
+
+
+def test_a_worker_that_comes_later_has_what_is_shared(running: LocalCluster) -> None:
+    """As where workers are replaced one after another: what is shared had been sent once, to those
+    of the beginning, and all work was lost with the last of them.
+    """
+    running.scale(1)
+    with dask(running.scheduler_address, None) as submit:
+        shared = submit.share([1, 2, 3])
+        assert submit.result(submit(sum, shared)) == 6
+        running.scale(0)
+        while running.scheduler.workers:
+            time.sleep(0.01)
+        running.scale(1)
+        assert submit.result(submit(sum, shared)) == 6
+
+
+def test_a_process_has_one_object_of_what_is_shared() -> None:
+    """What is found of it is kept by its identity."""
+    with dask(None, 1) as submit:
+        again = [submit.share([1.0, 2.0]) for _ in range(2)]
+        identities = [submit.result(submit(id, shared)) for shared in (*again, again[0])]
+        assert len(set(identities)) == 1
+        assert submit.result(submit(sum, submit.share([3.0, 4.0]))) == 7
+
+
+def test_large_work_is_sent_without_words(recwarn: pytest.WarningsRecorder) -> None:
+    """Dask warns of more than 10 MB."""
+    with dask(None, 1) as submit:
+        assert submit.result(submit(len, submit.share(bytes(12_000_000)))) == 12_000_000
+    assert [str(one.message) for one in recwarn if "large graph" in str(one.message)] == []
+
+
+def test_no_worker_is_waited_for_when_it_is_over(running: LocalCluster) -> None:
+    """As after Ctrl-C: it had been a minute for a scheduler's workers, as long as it takes for
+    processes here.
+    """
+    with (
+        pytest.raises(AskedToEndError),
+        dask(running.scheduler_address, None, is_over=lambda: True),
+    ):
+        pass
+    with pytest.raises(AskedToEndError), dask(None, 2, is_over=lambda: True):
+        pass
+
+
+@pytest.mark.whole
+def test_a_worker_without_the_project_is_told(running: LocalCluster, tmp_path: Path) -> None:
+    """With its address, in place of a trace."""
+    package = tmp_path / "twin" / "__init__.py"
+    package.parent.mkdir()
+    package.write_text('raise ImportError("none of it is here")\n')
+    address = running.scheduler_address
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    worker = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
+    try:
+        told = rf"scheduler {address}: worker tcp://\S+: none of it is here; all machines need"
+        with dask(address, None) as submit, pytest.raises(EngineError, match=told):
+            submit.result(submit(sum, [1]))
+    finally:
+        worker.terminate()
+        worker.wait()
 
 
 def test_an_early_end_leaves_no_words_of_pythons_own(tmp_path) -> None:

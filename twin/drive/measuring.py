@@ -16,15 +16,20 @@ _FEW = 3
 
 
 def pool_of(
-    plan: Drive, n_measurements: int, scheduler: str | None, workers: int | None
+    plan: Drive,
+    n_measurements: int,
+    scheduler: str | None,
+    workers: int | None,
+    is_over: Callable[[], bool],
 ) -> AbstractContextManager[Submit]:
     """Who computes so many frames and bursts. By default this process where they are few, or the
-    world rests, whose light and echoes are found once.
+    world rests, whose light and echoes are found once. When it ``is_over`` no process is waited
+    for.
     """
     if scheduler is None and workers is None:
         workers = usual_workers() if plan.moves and n_measurements > _FEW else 0
         workers = 0 if workers == 1 else workers
-    return here() if scheduler is None and workers == 0 else dask(scheduler, workers)
+    return here() if scheduler is None and workers == 0 else dask(scheduler, workers, is_over)
 
 
 def in_order(

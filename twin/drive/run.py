@@ -4,7 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -21,7 +21,7 @@ from twin.drive.truth import STATES, Mark, ObjectStates, images_of
 from twin.drive.truth_samples import TruthSamples
 from twin.drive.warning_counts import WarningCount, WarningCounts
 from twin.progress import interrupts
-from twin.workers import SchedulerGoneError, WorkerDiedError, check_workers
+from twin.workers import AskedToEndError, SchedulerGoneError, WorkerDiedError, check_workers
 
 #: Called with the reference time that is recorded, s.
 Tell = Callable[[float], None]
@@ -98,8 +98,9 @@ def drive(
             write = _writer(plan)
             n_left = sum(event.kind != "truth" for event in islice(plan.events(), resumed, None))
             with (
+                suppress(AskedToEndError),
                 _told_where_it_stands(log, n_events),
-                pool_of(plan, n_left, scheduler, workers) as submit,
+                pool_of(plan, n_left, scheduler, workers, is_over) as submit,
             ):
                 todo = islice(plan.events(), resumed, None)
                 for event, found in in_order(plan, todo, submit, is_over):
