@@ -475,7 +475,9 @@ def test_what_records_are_warned_of_is_told(
         ({"duration_s": 10.5}, "the trajectories of table1 end after 10 s"),
         ({"system": None, "radar": None}, "both are none"),
         ({"radar_period_s": 1e-4}, "expected at least a burst of hybrid-79"),
+        ({"radar_period_s": 1e300}, r"radar period: 1e\+300 s: expected .*, up to 1e\+06 s"),
         ({"truth_period_s": 0.0}, "truth period: 0 s"),
+        ({"truth_period_s": 1e300}, r"truth period: 1e\+300 s: expected .*, up to 1e\+06 s"),
         ({"seed": -1}, "seed: -1"),
     ],
 )

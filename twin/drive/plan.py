@@ -15,7 +15,7 @@ from twin.radar import RadarDesign
 from twin.scene import Scene
 from twin.system import System
 
-#: Of one drive; at 1e9 s a float64 still tells 1e-7 s.
+#: Of one drive, and of a period; at 1e9 s a float64 still tells 1e-7 s.
 _LONGEST_S = 1e6
 #: A clock without offset and drift.
 ON_TIME = DeviceClock()
@@ -83,12 +83,15 @@ class Drive:
             raise InputError(
                 f"duration: {self.duration_s:g} s: expected a time above 0, up to {_LONGEST_S:g} s"
             )
-        if not 1e-3 <= self.truth_period_s < float("inf"):
-            raise InputError(f"truth period: {self.truth_period_s:g} s: expected 1 ms or more")
-        if self.radar and not self.radar.burst_s <= self.radar_period_s < float("inf"):
+        if not 1e-3 <= self.truth_period_s <= _LONGEST_S:
+            raise InputError(
+                f"truth period: {self.truth_period_s:g} s: expected 1 ms or more, up to "
+                f"{_LONGEST_S:g} s"
+            )
+        if self.radar and not self.radar.burst_s <= self.radar_period_s <= _LONGEST_S:
             raise InputError(
                 f"radar period: {self.radar_period_s:g} s: expected at least a burst of "
-                f"{self.radar.name}, {self.radar.burst_s:g} s"
+                f"{self.radar.name}, {self.radar.burst_s:g} s, up to {_LONGEST_S:g} s"
             )
         last_s = self.scene.span_s[1]
         if self.duration_s > last_s:
