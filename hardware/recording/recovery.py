@@ -53,15 +53,15 @@ def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
         if ending.fault is not None and not kept:
             raise InputError(f"{path}: no whole message in it: {ending.fault}")
         if ending.lost and not out:
-            original = _beside(path)
+            original = path_of_damaged(path)
             os.rename(path, original)
         if ending.fault is not None or out:
             os.replace(partial, target)
     return RecoveryResult(kept, ending, original)
 
 
-def _beside(path: Path) -> Path:
-    """A free path for the damaged original."""
+def path_of_damaged(path: Path) -> Path:
+    """A free path beside a damaged log for it as it is: NAME-damaged."""
     names = (f"{path.stem}-damaged{n or ''}{path.suffix}" for n in itertools.count())
     return next(free for name in names if not (free := path.with_name(name)).exists())
 

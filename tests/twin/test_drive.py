@@ -75,7 +75,7 @@ def test_a_log_cut_at_any_byte_is_gone_on_with_to_the_same_bytes(
 
 
 def test_bytes_damaged_behind_the_last_whole_event_do_not_matter(
-    whole: Path, tmp_path: Path
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Power loss may leave pages of zeros at the end of a file."""
     data = whole.read_bytes()
@@ -83,12 +83,30 @@ def test_bytes_damaged_behind_the_last_whole_event_do_not_matter(
     path.write_bytes(data[: len(data) // 2] + bytes(5000))
     assert drive(plan(), path).complete
     assert path.read_bytes() == data
-    path.write_bytes(data[:1000] + bytes(1000) + data[2000:])
-    assert drive(plan(), path).complete
-    assert path.read_bytes() == data
     path.write_bytes(data[:-200] + bytes([data[-200] ^ 4]) + data[-199:])  # in the index
     assert drive(plan(), path).complete
     assert path.read_bytes() == data
+    assert list(tmp_path.iterdir()) == [path]
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("where", "before"), [(0.03, 0), (0.5, 6)])
+def test_whole_events_behind_damage_stay_in_a_copy(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], where: float, before: int
+) -> None:
+    """They had been cut off without a word, and computed anew."""
+    data, path = whole.read_bytes(), tmp_path / "run.mcap"
+    at = round(where * len(data))
+    damaged = data[:at] + bytes(200) + data[at + 200 :]
+    path.write_bytes(damaged)
+    done = drive(plan(), path)
+    assert (done.complete, done.resumed) == (True, before)
+    assert path.read_bytes() == data
+    copy = tmp_path / "run-damaged.mcap"
+    assert copy.read_bytes() == damaged
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"run.mcap: damaged behind its first {before} events, at byte " in line
+    assert f"{10 - before} whole events of it stay in {copy}" in line
 
 
 @pytest.mark.parametrize("where", [0.3, 0.6, 0.9])
@@ -168,7 +186,7 @@ def test_what_a_time_allows_is_measured_once_in_a_drive(
         return capsys.readouterr().out
 
     run(uncut)
-    path.write_bytes(uncut.read_bytes()[:-3000])
+    path.write_bytes(uncut.read_bytes()[: uncut.stat().st_size // 2])
     assert "gone on with" in run(path)
     assert path.read_bytes() == uncut.read_bytes()
     with pytest.raises(InputError, match=r"log of another drive \(fidelity.motion_tolerance: "):
@@ -197,6 +215,36 @@ def test_other_files_are_refused_and_left_as_they_are(whole: Path, tmp_path: Pat
         hold(file)
         with pytest.raises(InputError, match="still being written"):
             drive(plan(), path)
+
+
+def test_a_log_without_events_gives_way_to_another_drive(whole: Path, tmp_path: Path) -> None:
+    """As a killed command leaves it that had still to start its processes."""
+    first = next(read_messages(whole)).chunk
+    assert first is not None
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole.read_bytes()[: first - 9])  # without the head of its first chunk
+    assert drive(plan(seed=4), path).resumed == 0
+    assert drive_log_about(path)["seed"] == "4"
+
+
+def test_a_drive_that_fails_before_its_first_event_leaves_no_log(tmp_path: Path) -> None:
+    """The log of a mistyped command stood in the way of the right one."""
+    path = tmp_path / "run.mcap"
+    with pytest.raises(InputError, match="can't be reached"):
+        drive_by(plan(), path, scheduler="nonsense")
+    assert not path.exists()
+
+
+def test_what_is_no_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Errors of the system for these do not name the file."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(tmp_path / "nowhere")
+    for path in (pipe, link, tmp_path, Path("/dev/null")):
+        with pytest.raises(InputError, match=f"^{path}: .* expected a new"):
+            drive(plan(), path)
+    with pytest.raises(InputError, match=r"^--out: is empty"):
+        app(["drive", "yard", "--out", ""], standalone_mode=False)
 
 
 def test_bytes_that_this_software_would_not_write_are_told(whole: Path, tmp_path: Path) -> None:

@@ -86,6 +86,10 @@ def drive(
     from twin.scene import load_scene
     from twin.system import load_system
 
+    if out == Path():
+        raise InputError("--out: is empty, or the current folder; expected a file to write to")
+    if not out.parent.is_dir():
+        raise InputError(f"--out: {out.parent} is no folder")
     world = load_scene(scene)
     camera = None if system == "none" else load_system(system)
     design = None if radar == "none" else load_radar(radar)
@@ -101,8 +105,6 @@ def drive(
             clocks.append(DeviceClock(offset, drift))
         except InputError as error:
             raise InputError(f"clock of the {device}: {error}") from None
-    if not out.parent.is_dir():
-        raise InputError(f"--out: {out.parent} is no folder")
     only_one(fidelity, tolerance, within)
     # What a time allows is measured, never twice the same: a log goes on with what was chosen.
     stored = None if within is None else stored_fidelity(out)
@@ -152,7 +154,9 @@ def drive(
     for one in done.warned:
         records = counted(one.records, "record")
         say.warn(f"{one.sensor}: {one.kind}: {records} of this call, the first: {one.words}")
-    say.written(out)
+    if done.events:
+        say.written(out)
     if not done.complete:
-        say.warn("the drive was stopped; the same command continues it")
+        how = "the same command continues it" if done.events else "before its first event"
+        say.warn(f"the drive was stopped; {how}")
         raise typer.Exit(130)

@@ -1,13 +1,17 @@
 """The log of a drive: events one after another, and the same bytes after any number of kills.
 
 Each event ends with a mark and closes its chunk. What a kill left is written anew, event by event,
-over the same bytes, which it must equal; what follows the last whole event is cut off.
+over the same bytes, which it must equal; what follows the last whole event is cut off. Whole events
+that follow damage stay in a copy of the file.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+import shutil
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -19,10 +23,10 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from hardware.errors import InputError
-from hardware.files import is_held, naming
+from hardware.files import is_held, naming, whole_file
 from hardware.recording import Log
-from hardware.recording.reading import Ending, LoggedMessage, read_all
-from hardware.recording.recovery import LOST
+from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all
+from hardware.recording.recovery import LOST, path_of_damaged
 from hardware.recording.ros import Definition
 from twin.drive.truth import CLOCK, Mark
 from twin.fidelity import Fidelity
@@ -48,6 +52,8 @@ class DriveLog:
     n_events
         Of the whole drive. A log that was recovered has its footer, but not all of them.
 
+    A log without any event is removed at the end.
+
     Raises InputError for another file at ``path``, one that is being written, or one whose bytes
     are not those that this software writes.
     """
@@ -59,11 +65,14 @@ class DriveLog:
         if left.complete:
             self.events = n_events
             return
+        copy = _copied(path) if left.behind else None
         with naming(path):
             self._output = _Output(path)
+        if not left.events:
+            self._output.cut()
         self._log = Log(path, flush_s=float("inf"), file=self._output, about=about)  # type: ignore[arg-type]
         try:
-            for messages in left.whole:
+            for messages in islice(_whole_events(path), left.events):
                 for logged in messages:
                     definition = Definition(logged.schema.name, logged.schema.data.decode())
                     times = (logged.message.log_time, logged.message.publish_time)
@@ -74,6 +83,14 @@ class DriveLog:
             self._output.close()
             raise
         self._output.cut()
+        if copy:
+            print(
+                f"warning: {path}: damaged behind its first {left.events} events, at byte "
+                f"{self._output.tell()}; the rest is computed anew, and {left.behind} whole events "
+                f"of it stay in {copy}",
+                file=sys.stderr,
+                flush=True,
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -86,6 +103,8 @@ class DriveLog:
     ) -> None:
         if not self.complete:
             self._output.close()
+            if not self.events:
+                self.path.unlink(missing_ok=True)
 
     def event(self, mark: Mark, write: Callable[[Log], None]) -> None:
         """Append an event: what ``write`` writes, and its mark."""
@@ -101,23 +120,28 @@ class DriveLog:
         self.complete = True
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Left:
-    """What a file holds of a drive: its whole events, each a list of messages, as they are read."""
+    """What a file holds of a drive: so many whole events, and ``behind`` damage some more."""
 
+    events: int = 0
+    behind: int = 0
     complete: bool = False
-    whole: Iterator[list[LoggedMessage]] = field(default_factory=lambda: iter(()))
 
 
 def _left(path: Path, about: Mapping[str, str], n_events: int) -> _Left:
+    if path.is_symlink() and not path.exists():
+        raise InputError(f"{path}: is a link to no file: expected a new file")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: exists, and is no file: expected a new one")
     if not path.exists() or path.stat().st_size == 0:
         return _Left()
     if is_held(path):
         raise InputError(f"{path}: still being written by another process")
     found = _about(path)
+    if path.stat().st_size < _MOST_ABOUT_BYTES and _begins(found or about, path.read_bytes()):
+        return _Left()
     if found is None:
-        if path.stat().st_size < _MOST_ABOUT_BYTES and _begins(about, path.read_bytes()):
-            return _Left()
         raise InputError(f"{path}: exists, and is no log of a drive: expected a new file")
     if found.get("digest") != about["digest"]:
         raise InputError(
@@ -125,13 +149,21 @@ def _left(path: Path, about: Mapping[str, str], n_events: int) -> _Left:
             "expected a new file"
         )
     ending = Ending()
-    events = sum(1 for _ in _whole_events(path, ending))
+    records = read_all(path, ending)
+    events = sum(1 for _ in _events_before_damage(records, ending))
+    behind = sum(isinstance(one, LoggedMessage) and one.topic == MARKS for one in records)
     with path.open("rb") as file:
         file.seek(-_MAGIC_BYTES, 2)
         is_closed = ending.fault is None and file.read() == MCAP0_MAGIC
-    if is_closed and events == n_events:
-        return _Left(complete=True)
-    return _Left(whole=_whole_events(path, Ending()))
+    return _Left(events, behind, complete=is_closed and events == n_events)
+
+
+def _copied(path: Path) -> Path:
+    """A copy of a damaged log."""
+    copy = path_of_damaged(path)
+    with whole_file(copy) as partial:
+        shutil.copyfile(path, partial)
+    return copy
 
 
 def words_of(knobs: Fidelity) -> dict[str, str]:
@@ -153,10 +185,18 @@ def stored_fidelity(path: Path) -> Fidelity | None:
     return Fidelity().with_(knobs) if knobs else None
 
 
-def _whole_events(path: Path, ending: Ending) -> Iterator[list[LoggedMessage]]:
+def _whole_events(path: Path) -> Iterator[list[LoggedMessage]]:
+    """Messages of each event of a log up to the first that is damaged."""
+    ending = Ending()
+    return _events_before_damage(read_all(path, ending), ending)
+
+
+def _events_before_damage(
+    records: Iterable[LoggedMessage | Beside], ending: Ending
+) -> Iterator[list[LoggedMessage]]:
     """Messages of each event up to the first that is damaged, or was before it was recovered."""
     messages, expected = list[LoggedMessage](), 0
-    for logged in read_all(path, ending):
+    for logged in records:
         if ending.fault is not None or (isinstance(logged, Metadata) and logged.name == LOST):
             return
         if not isinstance(logged, LoggedMessage):

@@ -61,8 +61,10 @@ def drive(
     """Record a drive to a log, or go on with it.
 
     A log that a kill, a full disk or ``over`` cut short is gone on with by the same call, and ends
-    with the same bytes as one that was not; a complete one is left as it is. What was computed of
-    events that are not in the log is lost. Memory does not grow with the duration.
+    with the same bytes as one that was not; a complete one is left as it is, one without any event
+    is removed. What was computed of events that are not in the log is lost. Of a damaged log all
+    behind the damage is computed anew; whole events there stay in a copy, NAME-damaged, which a
+    line on stderr tells. Memory does not grow with the duration.
 
     ``workers`` processes here compute frames and bursts, 0: this process itself, or those of a Dask
     ``scheduler`` at this address; the bytes do not depend on it. By default one per core, as far as
@@ -92,9 +94,9 @@ def drive(
     n_events = sum(1 for _ in plan.events())
     with DriveLog(path, about, n_events) as log:
         resumed = log.events
-        begun_s = covered_s = plan.duration_s if log.complete else _end_of(plan, resumed)
+        begun_s = covered_s = plan.duration_s if resumed == n_events else _end_of(plan, resumed)
         tell(begun_s)
-        if not log.complete:
+        if resumed < n_events:
             write = _writer(plan)
             n_left = sum(event.kind != "truth" for event in islice(plan.events(), resumed, None))
             with (
@@ -109,9 +111,9 @@ def drive(
                         told.add(event.kind, found.warnings)
                     covered_s = 1e-9 * event.end_ns
                     tell(covered_s)
-            if log.events == n_events:
-                log.finish()
-                covered_s = plan.duration_s
+        if log.events == n_events and not log.complete:
+            log.finish()
+            covered_s = plan.duration_s
         return Driven(
             path=path,
             events=log.events,
@@ -130,6 +132,8 @@ def _told_where_it_stands(log: DriveLog, n_events: int) -> Iterator[None]:
     try:
         yield
     except (SchedulerGoneError, WorkerDiedError) as error:
+        if not log.events:
+            raise
         stands = f"{log.events} of {n_events} events are in {log.path}"
         raise type(error)(f"{error}; {stands}, the same command continues it") from error
 
