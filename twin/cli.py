@@ -14,7 +14,7 @@ from hardware.commands.entry import leave, outcome
 from hardware.commands.output import version_option, with_output
 from twin import __version__
 from twin.commands import catalogue, driving, figures, scenes, serving, studies, with_stages
-from twin.progress import interrupts
+from twin.progress import continued, interrupts
 
 _TELL = sys.unraisablehook
 _DELAY_S = 0.1
@@ -74,7 +74,8 @@ def main() -> None:
         if not interrupts:
             raise
     if interrupts:
-        print("twin: interrupted, nothing half-written is left", file=sys.stderr)
+        there = [f"the same command continues {path}" for path in continued if path.exists()]
+        print("twin: interrupted,", *there or ["nothing half-written is left"], file=sys.stderr)
         sys.stderr.flush()
         os._exit(130)  # threads of a library that was still loading would abort an orderly exit
     leave("twin", ended)

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 #: Opens a named stage of the work; what is run inside belongs to it.
@@ -12,6 +13,9 @@ OpenStage = Callable[[str], AbstractContextManager[Any]]
 #: Signals received. A library may swallow the KeyboardInterrupt that one raises in its callback;
 #: the next stage raises it again.
 interrupts: list[int] = []
+
+#: Files that the command goes on with where they are there already.
+continued: list[Path] = []
 
 #: Told of each stage that ends, with its time in s.
 listeners: list[Callable[[str, float], None]] = []

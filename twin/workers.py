@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from hashlib import blake2b
 from multiprocessing import active_children, resource_tracker
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, Self
 
 from twin.errors import EngineError
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 #: What a process that traces a radar's echoes may take.
 _MEMORY_BYTES = 3e9
+#: Processes here: so many anywhere, and of each core; each takes 0.3 GB and seconds to start.
+_MOST_WORKERS, _MOST_PER_CORE = 16, 4
 _AHEAD = 3  # runs waiting for each worker: memory stays bounded whatever the number of points
 #: How long a scheduler may be without any worker, and how often it is looked at.
 _WITHOUT_WORKERS_S, _LOOK_S = 60.0, 2.0
@@ -122,10 +125,17 @@ def _client_of(scheduler: str) -> "Client":
         raise InputError(f"scheduler: {scheduler!r}: can't be reached ({error})") from error
 
 
-def check_workers(workers: int | None) -> None:
-    """Raises InputError for a number of processes below 0."""
-    if workers is not None and workers < 0:
-        raise InputError(f"workers: {workers}: expected 0 or more")
+def check_workers(workers: object, scheduler: str | None) -> None:
+    """Raises InputError for no number of processes, for more than the cores can use, and for
+    processes here beside those of a scheduler.
+    """
+    if workers is None:
+        return
+    if scheduler is not None:
+        raise InputError("workers, scheduler: expected one of them")
+    most = max(_MOST_WORKERS, _MOST_PER_CORE * n_cores())
+    if not isinstance(workers, Integral) or not 0 <= int(workers) <= most:
+        raise InputError(f"workers: {workers!r:.60}: expected a whole number from 0 to {most}")
 
 
 def n_cores() -> int:

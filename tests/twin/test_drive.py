@@ -580,6 +580,29 @@ def test_a_burst_is_over_before_the_next(
     assert planned[0].radar_period_s == pytest.approx(period_s)
 
 
+@pytest.mark.parametrize(
+    ("content", "left"),
+    [(b"", "the same command continues {}"), (None, "nothing half-written is left")],
+)
+def test_an_interrupted_command_says_what_continues_it(
+    content: bytes | None, left: str, tmp_path: Path
+) -> None:
+    """A second Ctrl-C had said that nothing is left of a log with events."""
+    path = tmp_path / "run.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    interrupted = (
+        "import os, signal, twin.scene\n"
+        "from twin.cli import main\n"
+        "twin.scene.load_scene = lambda name: os.kill(os.getpid(), signal.SIGINT)\n"
+        "main()\n"
+    )
+    words = [sys.executable, "-c", interrupted, *command(path)[3:]]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130
+    assert done.stderr == f"twin: interrupted, {left.format(path)}\n"
+
+
 @pytest.mark.slow
 def test_killed_ten_times_at_random_and_gone_on_with(tmp_path: Path) -> None:
     whole, killed, rng = tmp_path / "whole.mcap", tmp_path / "killed.mcap", random.Random(5)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -123,6 +124,19 @@ def test_what_is_over_is_not_waited_for() -> None:
     assert len(sent) == 3
 
 
+@pytest.mark.whole
+def test_processes_that_start_are_not_waited_for_when_it_ends(tmp_path: Path) -> None:
+    """Ctrl-C meanwhile: nothing is computed, and no log is left."""
+    over, path = threading.Event(), tmp_path / "run.mcap"
+    threading.Timer(0.5, over.set).start()
+    before, begin = _children(), time.monotonic()
+    done = drive(plan(), path, workers=8, over=over)
+    assert (done.complete, done.events) == (False, 0)
+    assert not path.exists()
+    assert not [child for child in _children() - before if child.name().startswith("python")]
+    assert time.monotonic() - begin < 20
+
+
 def test_what_is_computed_when_it_ends_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """In one process the signal comes while an event is computed: that one is written."""
     over, measured = threading.Event(), Sensors.measured
@@ -204,13 +218,23 @@ def test_processes_are_started_where_they_pay(
     assert pool_of(drives, measured, None, workers, lambda: False) == expected
 
 
-def test_processes_that_cannot_be_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [-1, 100_000, 1.5, "2", float("nan")])
+def test_processes_that_cannot_be_are_refused(tmp_path: Path, workers: object) -> None:
+    """100 000 had been started, one after another."""
     path = tmp_path / "run.mcap"
-    with pytest.raises(InputError, match="workers: -1: expected 0 or more"):
-        drive(plan(), path, workers=-1)
+    told = rf"workers: {workers!r}: expected a whole number from 0 to \d+$"
+    with pytest.raises(InputError, match=told):
+        drive(plan(), path, workers=workers)  # type: ignore[arg-type]
     assert not path.exists()
-    with pytest.raises(InputError, match=r"scheduler: 'tcp://127\.0\.0\.1:1': can't be reached"):
-        drive(plan(), path, scheduler="tcp://127.0.0.1:1")
+
+
+def test_schedulers_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    path, address = tmp_path / "run.mcap", "tcp://127.0.0.1:1"
+    with pytest.raises(InputError, match=rf"scheduler: '{address}': can't be reached"):
+        drive(plan(), path, scheduler=address)
+    with pytest.raises(InputError, match="workers, scheduler: expected one of them"):
+        drive(plan(), path, workers=2, scheduler=address)
+    assert not path.exists()
 
 
 def test_a_scheduler_that_is_no_address_is_one_line(tmp_path: Path) -> None:

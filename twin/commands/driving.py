@@ -82,6 +82,7 @@ def drive(
     from twin.drive.log import stored_fidelity
     from twin.drive.run import progress_of
     from twin.errors import InputError
+    from twin.progress import continued
     from twin.radar import load_radar
     from twin.scene import load_scene
     from twin.system import load_system
@@ -90,6 +91,7 @@ def drive(
         raise InputError("--out: is empty, or the current folder; expected a file to write to")
     if not out.parent.is_dir():
         raise InputError(f"--out: {out.parent} is no folder")
+    continued[:] = [out]
     world = load_scene(scene)
     camera = None if system == "none" else load_system(system)
     design = None if radar == "none" else load_radar(radar)

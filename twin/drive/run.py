@@ -71,11 +71,11 @@ def drive(
     memory allows, of a world that moves. Processes import the script that starts them: its work
     belongs under ``if __name__ == "__main__"``.
 
-    Raises InputError for a file at ``path`` that is not the log of this drive, for fewer than 0
-    workers, and as `capture` and `radar_capture`; `WorkerDiedError` and `SchedulerGoneError`, after
-    which the same call goes on.
+    Raises InputError for a file at ``path`` that is not the log of this drive, for ``workers`` that
+    are no number from 0 to 16, or to 4 per core, or given beside a scheduler, and as `capture` and
+    `radar_capture`; `WorkerDiedError` and `SchedulerGoneError`, after which the same call goes on.
     """
-    check_workers(workers)
+    check_workers(workers, scheduler)
     path, over = Path(path), over or threading.Event()
     about = {
         "scene": plan.scene.name,

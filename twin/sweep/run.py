@@ -123,7 +123,7 @@ def run_sweep(
         study = with_accuracy(study, fidelity)
     if study.n_points > _MANY and not yes:
         raise InputError(f"{study.label}: {study.n_points} points; --yes to go ahead")
-    check_workers(workers)
+    check_workers(workers, scheduler)
     closed = study.model == "closed-form"
     usual = usual_workers if needs_radar(study.metrics) else n_cores
     n_workers = None if scheduler else max(1, usual() if workers is None else workers)
