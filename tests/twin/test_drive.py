@@ -105,8 +105,8 @@ def test_whole_events_behind_damage_stay_in_a_copy(
     copy = tmp_path / "run-damaged.mcap"
     assert copy.read_bytes() == damaged
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"run.mcap: damaged behind its first {before} events, at byte " in line
-    assert f"{10 - before} whole events of it stay in {copy}" in line
+    assert f"run.mcap: damaged behind {before} whole events, at byte " in line
+    assert f"{10 - before} whole events of it are in {copy} still" in line
 
 
 @pytest.mark.parametrize("where", [0.3, 0.6, 0.9])

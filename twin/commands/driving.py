@@ -159,6 +159,6 @@ def drive(
     if done.events:
         say.written(out)
     if not done.complete:
-        how = "the same command continues it" if done.events else "before its first event"
-        say.warn(f"the drive was stopped; {how}")
+        how = "; the same command continues it" if done.events else " before its first event"
+        say.warn(f"the drive was stopped{how}")
         raise typer.Exit(130)

@@ -24,6 +24,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from hardware.errors import InputError
 from hardware.files import is_held, naming, whole_file
+from hardware.formatting import counted
 from hardware.recording import Log
 from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all
 from hardware.recording.recovery import LOST, path_of_damaged
@@ -85,9 +86,9 @@ class DriveLog:
         self._output.cut()
         if copy:
             print(
-                f"warning: {path}: damaged behind its first {left.events} events, at byte "
-                f"{self._output.tell()}; the rest is computed anew, and {left.behind} whole events "
-                f"of it stay in {copy}",
+                f"warning: {path}: damaged behind {counted(left.events, 'whole event')}, at byte "
+                f"{self._output.tell()}; the rest is computed anew, and "
+                f"{counted(left.behind, 'whole event')} of it are in {copy} still",
                 file=sys.stderr,
                 flush=True,
             )
