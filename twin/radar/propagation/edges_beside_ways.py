@@ -16,7 +16,6 @@ from twin.radar.propagation.body_levels import BodyLevels
 from twin.radar.propagation.decisions import Decided, on_edges_beside, on_mirror_borders
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES, levels_beside
-from twin.radar.propagation.diffraction.blocking import PAST_MIRROR
 from twin.radar.propagation.diffraction.over_mirrors import border_levels, points_of
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import some_facets
@@ -166,7 +165,8 @@ def _hidden_ways(
 class _Seen(NamedTuple):
     """A body as an image sees it: whether it is lit for the most part; if it is not, the field of
     the waves over edges there, over the straight one, rms; the level of what mirrors reflect; and
-    whether it is past the border of the image's only mirror.
+    whether a part is past the border of the image's only mirror: such a body counts as dark, since
+    that part may be the one that glints.
     """
 
     is_lit: bool
@@ -181,16 +181,16 @@ class _Seen(NamedTuple):
         if not len(facets):
             return _Seen(True, 0.0, 0.0)
         level = float(np.mean(view.reflected(facets.middle)))
-        if np.mean(is_lit) >= 1 - _MOST_HIDDEN:
+        off = offset_m(facets.middle) * facets.normal(view.place)
+        past = view.goes_past_mirror(facets.middle[~is_lit], off[~is_lit])
+        if np.mean(is_lit) >= 1 - _MOST_HIDDEN and not past:
             return _Seen(True, 1.0, level)
         step = max(1, len(facets) // _PLACES)
-        places, normal = facets.middle[::step], facets.normal(view.place)[::step]
-        off = offset_m(places) * normal
+        places, off = facets.middle[::step], off[::step]
         own, context = np.full(len(places), body), view.obstacles.prepared.context
         found = all_paths_to_points(context, view.obstacles, view.number, places, off, own)
         field = found.field(view.straight(places, off), view.obstacles.wavenumber)
-        past = (view.first_met(places, off) == PAST_MIRROR).any()
-        return _Seen(False, float(np.sqrt(np.mean(np.abs(field) ** 2))), level, bool(past))
+        return _Seen(False, float(np.sqrt(np.mean(np.abs(field) ** 2))), level, past)
 
 
 def edges_beside(

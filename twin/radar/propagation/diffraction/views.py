@@ -94,6 +94,14 @@ class View:
             found[past] = PAST_MIRROR
         return found
 
+    def goes_past_mirror(self, places: Array, off: Array) -> bool:
+        """Whether the way home from any of some points (n, 3) goes past the border of the only
+        mirror.
+        """
+        if self.obstacles.border(self.image) is None or not len(places):
+            return False
+        return bool((self.first_met(places, off) == PAST_MIRROR).any())
+
     def others(self, body: int) -> Indices:
         """Numbers of the objects that may be obstacles of ways to a body: no mirror of these ways
         is.
