@@ -9,8 +9,9 @@ import pytest
 from scipy.special import wofz
 
 from benchmarks.kirchhoff import echo_behind
-from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, quad, world
+from tests.physics.radar_worlds import RADAR, WAVELENGTH_M, ball, quad, thing, world
 from tests.physics.shadow_worlds import Array, K
+from twin.fidelity import DEFAULT
 from twin.radar.propagation.diffraction.cell_echoes import middle_facets
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.result import Propagation
@@ -44,6 +45,16 @@ def stated(found: Propagation) -> float:
     return body.estimated_error * body.level_amplitude
 
 
+class Direct:
+    """The radar itself."""
+
+    def field(self, places: Array) -> tuple[Array, Array, Array]:
+        """As of `HalfPlane`."""
+        straight_m = np.linalg.norm(places, axis=1)
+        way = places / straight_m[:, None]
+        return np.sqrt(RADAR.antenna.gain(way)), way, straight_m
+
+
 class HalfPlane:
     """A wall from an upright edge at (x, y) on in a direction, and the radar's field by it."""
 
@@ -71,24 +82,28 @@ class HalfPlane:
 
 def by_walls(corners: Array, walls: Sequence[HalfPlane]) -> complex:
     """Physical optics of small facets (n, 3, 3) by waves over walls, out and home by any."""
+    return sum(by_both(corners, one, other) for one in walls for other in walls)
+
+
+def by_both(corners: Array, one: HalfPlane | Direct, other: HalfPlane | Direct) -> complex:
+    """The same out by one and home by another."""
     middle = corners.mean(axis=1)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = 0j
-    fields = [wall.field(middle) for wall in walls]
-    for one, there, there_m in fields:
-        for other, back, back_m in fields:
-            facing, answering = (-np.sum(across * way, axis=1) for way in (there, back))
-            wave = one * other * np.exp(-1j * K * (there_m + back_m)) / (there_m * back_m)
-            is_seen = (facing > 0) & (answering > 0)
-            total += np.sum((wave * (facing + answering) / 2)[is_seen])
-    return complex(total)
+    (out, there, there_m), (home, back, back_m) = one.field(middle), other.field(middle)
+    facing, answering = (-np.sum(across * way, axis=1) for way in (there, back))
+    wave = out * home * np.exp(-1j * K * (there_m + back_m)) / (there_m * back_m)
+    is_seen = (facing > 0) & (answering > 0)
+    return complex(np.sum((wave * (facing + answering) / 2)[is_seen]))
 
 
-def over_walls(found: Propagation) -> complex:
-    """The body's echo there and back by any walls, not direct on either way."""
+def over_walls(found: Propagation, n_ways: int = 2) -> complex:
+    """The last object's echo there and back by any walls; or out or home by one, direct on the
+    other way.
+    """
     c = found.contributions
-    is_own = c.object == found.objects.index(found.objects[-1])
-    own = c.take(np.flatnonzero(is_own & (c.source > 0) & (c.receiver > 0)))
+    n_over = (c.source > 0).astype(int) + (c.receiver > 0)
+    is_own = (c.object == len(found.objects) - 1) & (c.bounces <= 1)
+    own = c.take(np.flatnonzero(is_own & (n_over == n_ways)))
     return complex(np.sum(own.amplitude * np.exp(-2j * np.pi * (79e9 * own.delay_s % 1))))
 
 
@@ -100,7 +115,12 @@ def tall(name: str, begin_m: tuple[float, float], end_m: tuple[float, float]) ->
 
 def facets(item: SceneObject) -> Array:
     """Of an object, each in four."""
-    a, b, c = item.vertices_m[item.geometry.faces].swapaxes(0, 1)
+    return divided(item.vertices_m[item.geometry.faces])
+
+
+def divided(corners: Array) -> Array:
+    """Facets, each in four."""
+    a, b, c = corners.swapaxes(0, 1)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
@@ -149,6 +169,48 @@ def test_where_a_wall_is_folded_both_parts_end(
     error = abs(over_walls(found) - truth)
     assert error < 1.1 * stated(found)
     assert error < 0.1 * abs(whole[0])
+
+
+def square(middle_m: Array, towards: Array, side_m: float) -> Array:
+    """Corners (2, 3, 3) of two triangles that face in a direction."""
+    one = np.cross([0.0, 0.0, 1.0], towards)
+    one *= side_m / 2 / np.linalg.norm(one)
+    up = np.cross(towards, one)
+    up *= side_m / 2 / np.linalg.norm(up)
+    a, b, c, d = (middle_m + i * one + j * up for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    return np.array([[a, b, c], [a, c, d]])
+
+
+def test_a_part_that_glints_past_a_border_is_followed() -> None:
+    """Four plates of a body are lit by the wall, askew; a fifth, past the border, glints between
+    radar and wall: all of its echo was missing.
+    """
+    here, image_m = np.array(PLACE), np.array([10.0, 0.0, 0.0])
+    to_radar, to_image = -here / np.linalg.norm(here), image_m - here
+    glint = to_radar + to_image / np.linalg.norm(to_image)
+    askew = glint + 0.8 * np.cross(glint, [0.0, 0.0, 1.0])
+    lit = [square(here - [0.0, 0.4 + 0.1 * n, 0.0], askew, 0.05) for n in range(4)]
+    corners = np.concatenate([*lit, square(here, glint, 0.05)])
+    body = thing("plates", corners.reshape(-1, 3), np.arange(30).reshape(-1, 3))
+    small = corners
+    for _ in range(5):
+        small = divided(small)
+    ends = {"whole": 12.0, "cut": FOOT_M - 0.02}
+    without_edges = DEFAULT.with_(radar_edges=0)
+    found = {
+        name: trace(
+            world(tall("wall", (5.0, -8.0), (5.0, end)), body), RADAR, fidelity=without_edges
+        )
+        for name, end in ends.items()
+    }
+    truth = {
+        name: by_both(small, Direct(), HalfPlane((5.0, end), (0.0, -1.0)))
+        for name, end in ends.items()
+    }
+    echoes = {name: over_walls(each, 1) for name, each in found.items()}
+    off = echoes["cut"] - truth["cut"] / truth["whole"] * echoes["whole"]
+    assert abs(off) < 2 * stated(found["cut"])  # out and home are two ways
+    assert abs(off) < 0.05 * abs(echoes["whole"])
 
 
 @pytest.mark.parametrize("border_m", [-0.05, 0.02, 0.1])
