@@ -72,7 +72,7 @@ def capture(
                 for received in run(urls, log, loaded, setup, over=over, **limits):
                     tally = tallies.setdefault(received.topic, Tally(received.topic))
                     tally.add(received.record)
-                    say.step(f"{received.topic}: record {len(tally.records)}")
+                    say.step(f"{received.topic}: record {tally.count}")
                 if not tallies:
                     within = f" within {duration:g} s" if duration < math.inf else ""
                     raise InputError(f"{', '.join(urls)}: no record came{within}")
@@ -81,7 +81,7 @@ def capture(
                 say.line("stopped")
             took_s = time.monotonic() - begun
             written = {topic: log.flushed.get(topic, 0) for topic in tallies}
-            n = sum(len(tally.records) for tally in tallies.values())
+            n = sum(tally.count for tally in tallies.values())
             lost = n - sum(written.values())
             beside = f"; {lost} more had come and may not be in it" if lost else ""
             if out.exists():

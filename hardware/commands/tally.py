@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hardware.recording.kinds import Record
-    from hardware.usability import Usability
 
 #: Share of a topic's slots, exposures or records.
 _WORTH_A_WARNING = 0.01
@@ -20,17 +19,36 @@ _LATE = (
 
 
 @dataclass
-class Tally:
-    """Of the records of one topic.
+class _Kind:
+    """Records of which the same is told: how many, and what of the first."""
 
-    ``parts``: slots or exposures; ``flags``: how many of them have each flag, or are at a rail.
+    count: int = 0
+    first: str = ""
+
+    def add(self, text: str) -> None:
+        """Count one of which something is told."""
+        if text:
+            self.count += 1
+            self.first = self.first or f", the first since: {text}"
+
+
+@dataclass
+class Tally:
+    """Of the records of one topic, ``count`` of them; it does not grow with their number.
+
+    ``parts``: slots or exposures; ``flags``: how many of them have each flag, or are at a rail;
+    ``faults``, ``silent`` and ``partial``: records that cannot be processed, that hold nothing, and
+    of which slots are left out.
     """
 
     topic: str
-    records: list["Usability"] = field(default_factory=list)
+    count: int = 0
     parts: str = ""
     n_parts: int = 0
     flags: Counter[str] = field(default_factory=Counter)
+    faults: _Kind = field(default_factory=_Kind)
+    silent: _Kind = field(default_factory=_Kind)
+    partial: int = 0
 
     def add(self, record: "Record") -> None:
         """Count a record."""
@@ -38,7 +56,11 @@ class Tally:
         from hardware.records import RadarRecord
         from hardware.usability import usability
 
-        self.records.append(usability(record))
+        found = usability(record)
+        self.count += 1
+        self.faults.add(found.fault)
+        self.silent.add(found.silence)
+        self.partial += not found.whole
         self.parts = "slots" if isinstance(record, RadarRecord) else "exposures"
         self.n_parts += record.flags.size
         self.flags.update(flag_counts(record.flags))
@@ -47,12 +69,11 @@ class Tally:
     @property
     def fault(self) -> str:
         """Why none of the records can be processed; empty where one can."""
-        faults = [record.fault for record in self.records]
-        if not all(faults):
+        if self.faults.count < self.count:
             return ""
         is_late = self.flags["overrun"] == self.n_parts > 0
-        why = _LATE if is_late else f", the first since: {faults[0]}"
-        return f"{self.topic}: 0 of {len(faults)} records can be processed{why}"
+        why = _LATE if is_late else self.faults.first
+        return f"{self.topic}: 0 of {self.count} records can be processed{why}"
 
     def warnings(self) -> Iterator[str]:
         """What is wrong with a share that is worth a warning."""
@@ -61,14 +82,10 @@ class Tally:
                 share = 100 * self.flags[fault] / self.n_parts
                 yield f"{self.topic}: {share:.3g} % of its {self.n_parts} {self.parts} are {fault}"
         told = (
-            ("cannot be processed", [one.fault for one in self.records if one.fault]),
-            ("hold nothing", [one.silence for one in self.records if one.silence]),
-            (
-                "are processed in part: slots are lost",
-                [one for one in self.records if not one.whole],
-            ),
+            ("cannot be processed", self.faults.count, self.faults.first),
+            ("hold nothing", self.silent.count, self.silent.first),
+            ("are processed in part: slots are lost", self.partial, ""),
         )
-        for what, of in told:
-            if len(of) > _WORTH_A_WARNING * len(self.records):
-                first = f", the first since: {of[0]}" if isinstance(of[0], str) else ""
-                yield f"{self.topic}: {len(of)} of {len(self.records)} records {what}{first}"
+        for what, count, first in told:
+            if count > _WORTH_A_WARNING * self.count:
+                yield f"{self.topic}: {count} of {self.count} records {what}{first}"
