@@ -1,5 +1,6 @@
 """What the detections of a burst may be other than they say, in words."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -172,7 +173,7 @@ def scattered_phases(burst: int, variance: float, n_left_out: int) -> list[str]:
     )
     return [
         f"burst {burst}: phases differ from slot to slot by {variance**0.5:.2g} rad: levels are "
-        f"some {10 * np.log10(np.e) * variance:.2g} dB too low, and no errors hold it"
+        f"some {10 * math.log10(math.e) * variance:.2g} dB too low, and no errors hold it"
         f"{left_out if n_left_out else ''}"
     ]
 

@@ -1,5 +1,6 @@
 """Which large surfaces a tolerance takes for rough: a bound of their clutter that holds."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -191,7 +192,7 @@ def test_what_optics_takes_for_smooth_is_told_by_how_much(
     """
     scene = replace(body_alone(2.0, 10.0), materials=surface(rms_height_m, 0.0))
     smooth, rough = (trace(scene, RADAR, fidelity=ONCE.with_(radar=m)) for m in ("optics", "rough"))
-    expected_db = 40 * np.log10(np.e) * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2
+    expected_db = 40 * math.log10(math.e) * (2 * np.pi / WAVELENGTH_M * rms_height_m) ** 2
     levels = [abs(wave(found.contributions)) for found in (smooth, rough)]
     assert 20 * np.log10(levels[0] / levels[1]) == pytest.approx(expected_db, rel=0.01)
     warned = [text for text in smooth.warnings if "takes surfaces for smooth" in text]
