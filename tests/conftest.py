@@ -13,6 +13,8 @@ from pathlib import Path
 
 # Matrices here are small: more threads wait for each other, at twice the processor's time.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Commands compute everything anew, and leave nothing in the user's own folder.
+os.environ["UGV_TWIN_CACHE"] = ""
 
 import numpy as np
 import pytest

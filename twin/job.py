@@ -24,6 +24,7 @@ from twin.engine import use_cores
 from twin.errors import check_seed
 from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of
 from twin.files import InputError, check_out
+from twin.kept_results import KeptResults
 from twin.progress import Stages, StageTimes
 from twin.radar import RadarDesign, load_radar, radar_capture
 from twin.radar.acquisition import STAGES as RADAR_STAGES
@@ -48,7 +49,7 @@ _Camera = tuple[View | None, tuple[Evaluation, ...]]
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Described):
     """What a run computed; the first evaluation is the system asked for. Of a radar alone there is
-    no view and no evaluation.
+    no view and no evaluation. ``kept``: what was taken from earlier runs, light or echoes.
     """
 
     scene: Scene
@@ -57,6 +58,7 @@ class Result(Described):
     radar: RadarEvaluation | None
     out: Path
     seconds: dict[str, float]
+    kept: tuple[str, ...] = ()
 
 
 def run(
@@ -78,6 +80,7 @@ def run(
     detection: str | Detect | None = None,
     command: str | None = None,
     helper: Helper | None = None,
+    kept: KeptResults | None = None,
 ) -> Result:
     """Run both chains on a scene and write everything to a folder.
 
@@ -153,17 +156,17 @@ def run(
         )
         folder = default_folder(settings) if out is None else Path(out)
         with run_folder(folder, settings) as partial:
-            of_camera = (world, systems, seed, knobs, method)
+            of_camera = (world, systems, seed, knobs, method, kept)
             apart = _asked(helper, *of_camera) if systems and design else None
             view, evaluations = (None, ()) if apart else _camera(*of_camera, stages)
             echoes: RadarEvaluation | None = None
             try:
                 if design:
                     weather = systems[0].weather if systems else None
-                    echoes = _radar(world, design, weather, seed, knobs, stages, how)
+                    echoes = _radar(world, design, weather, seed, knobs, stages, how, kept)
                     _write_radar(echoes, partial, paths=paths, sigmf=sigmf)
                 if apart:
-                    view, evaluations = _answer(apart, stages)
+                    view, evaluations = _answer(apart, stages, kept)
             finally:
                 if apart:
                     use_cores(1)
@@ -177,8 +180,10 @@ def run(
             if figures:
                 with stages.stage("figures"):
                     _write_figures(view, evaluations, echoes, partial)
+            found = tuple(dict.fromkeys(kept.found)) if kept else ()
+            settings["kept"] = found
             write_report(world, view, evaluations, echoes, settings, stages, partial)
-    return Result(world, view, evaluations, echoes, folder, stages.seconds)
+    return Result(world, view, evaluations, echoes, folder, stages.seconds, found)
 
 
 def stage_names(
@@ -202,6 +207,7 @@ def _camera(
     seed: int,
     fidelity: Fidelity,
     method: str | Method | Solve | None,
+    kept: KeptResults | None,
     stages: StageTimes,
 ) -> _Camera:
     """What every system sees; of none, nothing."""
@@ -213,7 +219,13 @@ def _camera(
     evaluations = []
     for system in systems:
         taken = capture(
-            scene, system, seed=seed, fidelity=fidelity, mesh_scene=rendered, stage=stages.stage
+            scene,
+            system,
+            seed=seed,
+            fidelity=fidelity,
+            mesh_scene=rendered,
+            stage=stages.stage,
+            kept=kept,
         )
         with stages.stage("reconstruction"):
             evaluations.append(evaluate(system, taken, method=solve))
@@ -245,19 +257,23 @@ def _camera_apart(
     seed: int,
     fidelity: Fidelity,
     method: str | Method | Solve | None,
-) -> tuple[_Camera, dict[str, float]]:
-    """In the helper: what `_camera` gives, and the time in s of its stages."""
+    kept: KeptResults | None,
+) -> tuple[_Camera, dict[str, float], list[str]]:
+    """In the helper: what `_camera` gives, the time in s of its stages, and what was kept."""
     use_cores(1 / 2)
     times = StageTimes()
-    return _camera(scene, systems, seed, fidelity, method, times), times.seconds
+    found = _camera(scene, systems, seed, fidelity, method, kept, times)
+    return found, times.seconds, kept.found if kept else []
 
 
-def _answer(helper: Helper, stages: Stages) -> _Camera:
+def _answer(helper: Helper, stages: Stages, kept: KeptResults | None) -> _Camera:
     """What the helper has computed."""
-    found, seconds = helper.answer()
+    computed, seconds, found = helper.answer()
     for name, took_s in seconds.items():
         stages.ended(name, took_s)
-    return found
+    if kept:
+        kept.found += found
+    return computed
 
 
 def _radar(
@@ -268,9 +284,16 @@ def _radar(
     fidelity: Fidelity,
     stages: Stages,
     how: Processing,
+    kept: KeptResults | None,
 ) -> RadarEvaluation:
     taken = radar_capture(
-        scene, design, seed=seed, fidelity=fidelity, weather=weather, stage=stages.stage
+        scene,
+        design,
+        seed=seed,
+        fidelity=fidelity,
+        weather=weather,
+        stage=stages.stage,
+        kept=kept,
     )
     with stages.stage("radar processing"):
         return evaluate_radar(design, taken, how, scene=scene)

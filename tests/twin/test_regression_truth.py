@@ -1,7 +1,5 @@
 """The regression plugin's truth: rendered once, kept under what it depends on."""
 
-import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 from yard_32x32 import SYSTEM
 
 from twin.digest import digest
-from twin.regression.cache import TruthCache
+from twin.kept_results import KeptResults
 from twin.regression.truth import Truths
 from twin.scene import load_scene
 from twin.system import load_system
@@ -18,37 +16,13 @@ from twin.system import load_system
 
 def test_truth_is_rendered_once_and_kept(yard, tmp_path: Path, monkeypatch) -> None:
     scene, system, _ = yard
-    first = Truths(TruthCache(tmp_path)).light(scene, system)
+    first = Truths(KeptResults(tmp_path)).light(scene, system)
     monkeypatch.setattr("twin.regression.truth.render", None)
-    again = Truths(TruthCache(tmp_path)).light(scene, system)
+    again = Truths(KeptResults(tmp_path)).light(scene, system)
     np.testing.assert_array_equal(first.light.cells, again.light.cells)
     np.testing.assert_array_equal(first.truth.depth_m, again.truth.depth_m)
     with pytest.raises(TypeError):  # another system is rendered anew
-        Truths(TruthCache(tmp_path)).light(scene, load_system("workable"))
-
-
-def _count_and_make(folder: Path) -> int:
-    def make() -> int:
-        with (folder / "made").open("a") as file:
-            file.write("x")
-        time.sleep(0.2)  # long enough for all to come
-        return 7
-
-    return TruthCache(folder / "store").get("key", make)
-
-
-def test_processes_at_once_make_it_once(tmp_path: Path) -> None:
-    with ProcessPoolExecutor(4) as pool:
-        assert list(pool.map(_count_and_make, [tmp_path] * 16)) == [7] * 16
-    assert (tmp_path / "made").read_text() == "x"
-
-
-def test_a_damaged_file_is_made_anew(tmp_path: Path) -> None:
-    store = TruthCache(tmp_path)
-    assert store.get("key", lambda: 1) == 1
-    (tmp_path / "key.pickle").write_bytes(b"")
-    assert store.get("key", lambda: 2) == 2
-    assert store.get("key", lambda: 3) == 2
+        Truths(KeptResults(tmp_path)).light(scene, load_system("workable"))
 
 
 def test_a_digest_tells_what_is_rendered_from_what_is_said(yard, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ from twin.camera.verdict import (
 from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.errors import check_kind, check_seed
 from twin.fidelity import Accuracy, Noise, knobs_of
+from twin.kept_results import KeptResults
 from twin.optics.radiometry import Collection
 from twin.progress import OpenStage, silently
 from twin.scene import Scene
@@ -138,6 +139,7 @@ def capture(
     mesh_scene: Any = None,
     stage: OpenStage = silently,
     detector: Detector | None = None,
+    kept: KeptResults | None = None,
 ) -> Capture:
     """Acquire one frame: `render`, then `measure`.
 
@@ -158,6 +160,10 @@ def capture(
         A user's own `Detector`, in place of the system's detector and readout. Detector area,
         amplifier bandwidth and integration time of the system still apply; the integration time of
         both must be the same.
+    kept
+        Where light is kept from one process to the next: that of the same scene, system, seed and
+        ``fidelity``, by this version, is taken from there, bit for bit. Of systems with a user's
+        own parts nothing is.
 
     >>> from twin.fidelity import PRESETS
     >>> from twin.scene import load_scene
@@ -180,6 +186,7 @@ def capture(
         mesh_scene=mesh_scene,
         stage=stage,
         detector=detector,
+        kept=kept,
     )
     with stage("detector"):
         rng = np.random.default_rng(noise_seed)

@@ -11,7 +11,8 @@ from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
 from twin.camera.rendered import RenderedLight
 from twin.camera.sun_in_frame import sun_of_frame
 from twin.detector import Detector
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, LightFidelity
+from twin.kept_results import KeptResults
 from twin.progress import OpenStage, silently
 from twin.scene import Scene
 from twin.system import System
@@ -40,6 +41,7 @@ def lit_frame(
     mesh_scene: Any = None,
     stage: OpenStage = silently,
     detector: Detector | None = None,
+    kept: KeptResults | None = None,
 ) -> LitFrame:
     """Light of a frame that begins with a scene; arguments as `twin.camera.capture` takes them.
 
@@ -49,13 +51,24 @@ def lit_frame(
     world, seen = world_in_motion(scene, system, fidelity), scene
     if world is not None:
         seen, mesh_scene = replace(scene.after(world.duration_s / 2), sun=scene.sun), None
-    rendered = render(
-        seen, system, fidelity=fidelity, seed=seed, mesh_scene=mesh_scene, stage=stage
-    )
-    if world is None:
-        return LitFrame(scene, rendered)
-    with stage("motion"):
-        chain = Chain.of(system, scene.sun, detector)
-        return LitFrame(
-            seen, rendered, frame_light(world, chain, rendered, fidelity, seed.spawn(2))
+
+    def light() -> tuple[RenderedLight, FrameLight | None]:
+        rendered = render(
+            seen, system, fidelity=fidelity, seed=seed, mesh_scene=mesh_scene, stage=stage
         )
+        if world is None:
+            return rendered, None
+        with stage("motion"):
+            chain = Chain.of(system, scene.sun, detector)
+            return rendered, frame_light(world, chain, rendered, fidelity, seed.spawn(2))
+
+    if kept is None or detector is not None or _has_own_parts(system):
+        return LitFrame(seen, *light())
+    of_light = fidelity.part(LightFidelity)
+    content = (scene, system, of_light, seed.entropy, seed.spawn_key)
+    return LitFrame(seen, *kept.get("light", content, light))
+
+
+def _has_own_parts(system: System) -> bool:
+    """Whether light may depend on anything: code of a user's own is among the system's parts."""
+    return any(name.endswith(".function") for name, _ in system.values())

@@ -82,6 +82,10 @@ def run(
     detection: Annotated[
         str | None, typer.Option(help="Radar detection in place of CFAR: file.py:function.")
     ] = None,
+    anew: Annotated[
+        bool,
+        typer.Option("--anew", help="Compute light and echoes that an earlier run has kept again."),
+    ] = False,
 ) -> None:
     """Simulate both sensors over a scene, process their records, write a report."""
     helper = None
@@ -89,6 +93,7 @@ def run(
         helper = Helper("twin.job")  # before anything else: it takes seconds to load
     with loading():
         from twin.job import run as run_job
+        from twin.kept_results import KeptResults
         from twin.radar import load_radar
         from twin.report.summary import summary
         from twin.scene import load_scene, parse_pose, parse_track
@@ -125,7 +130,13 @@ def run(
         detection=detection,
         command=shlex.join(["twin", *sys.argv[1:]]),
         helper=helper,
+        kept=None if anew else KeptResults.of_user(),
     )
+    if result.kept:
+        say.line(
+            f"{' and '.join(result.kept)}: of an earlier run, with the same scene, sensor and "
+            "tolerance; --anew computes them again"
+        )
     _tell_verdicts(say, result)
     if result.radar:
         _tell_roles(say, result.radar)
@@ -135,6 +146,7 @@ def run(
         scene=result.scene.name,
         out=result.out,
         seconds=result.seconds,
+        kept=result.kept,
         **summary(result.scene, result.view, result.evaluations, result.radar),
     )
     say.written(result.out / "report.html", name="report")

@@ -15,12 +15,14 @@ from twin.accuracy import Decision
 from twin.errors import check_kind, check_seed
 from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.files import InputError
+from twin.kept_results import KeptResults
 from twin.progress import OpenStage
 from twin.radar.device.burst import blended_channel, burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
 from twin.radar.diagnostics import assumptions, warnings
 from twin.radar.propagation.interval.instants import traced_interval, weights
+from twin.radar.propagation.kept import kept_interval
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import solver_of
@@ -144,6 +146,7 @@ def radar_echo(
     stage: OpenStage = lambda name: nullcontext(),
     earlier: Propagation | None = None,
     keep: bool = False,
+    kept: KeptResults | None = None,
 ) -> RadarEcho:
     """The bursts that `radar_capture` records; same parameters, same errors."""
     check_kind("scene", scene, Scene, "twin.load_scene")
@@ -159,7 +162,10 @@ def radar_echo(
         bursts = []
         for world in worlds:
             first = keep and earlier is None
-            own = traced_interval(world, radar, knobs, rays, earlier, keep=first)
+            if kept is not None and not first and earlier is None:
+                own = kept_interval(world, radar, knobs, rays, kept)
+            else:
+                own = traced_interval(world, radar, knobs, rays, earlier, keep=first)
             bursts.append(own)
             earlier = own if first else earlier
     interval_s = interval_s or _interval(scene, radar)
@@ -178,6 +184,7 @@ def radar_capture(
     stage: OpenStage = lambda name: nullcontext(),
     earlier: Propagation | None = None,
     keep: bool = False,
+    kept: KeptResults | None = None,
 ) -> RadarCapture:
     """Acquire one burst, or one at each stop of a track.
 
@@ -210,6 +217,10 @@ def radar_capture(
         Results depend on that burst, within the errors that they tell, so without it there is no
         such dependence. ``keep``: later bursts may keep what is found here, those of this capture
         after its first one do; takes some 500 bytes for each contribution and ray tube.
+    kept
+        Where echoes are kept from one process to the next: those found for the same scene, design
+        and ``fidelity``, by this version, are taken from there, bit for bit. Not with ``earlier``
+        or ``keep``.
 
     Raises InputError where a material has no data at the carrier, a target stands at the radar, a
     record would not fit in memory, bursts overlap, or ``earlier`` is not such a burst.
@@ -232,6 +243,7 @@ def radar_capture(
         stage=stage,
         earlier=earlier,
         keep=keep,
+        kept=kept,
     )
     with stage("radar signal"):
         record = echo.record()

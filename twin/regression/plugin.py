@@ -63,13 +63,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope="session")
 def twin_truth(request: pytest.FixtureRequest) -> "Truths":
     """Rendered truth, kept in pytest's cache from run to run."""
-    from twin.regression.cache import TruthCache
+    from twin.kept_results import KeptResults
     from twin.regression.truth import Truths
 
     if hasattr(request.config, "cache") and request.config.cache is not None:
-        return Truths(TruthCache(request.config.cache.mkdir("twin-truth")))
+        return Truths(KeptResults(request.config.cache.mkdir("twin-truth")))
     factory = request.getfixturevalue("tmp_path_factory")  # with -p no:cacheprovider
-    return Truths(TruthCache(factory.mktemp("twin-truth")))
+    return Truths(KeptResults(factory.mktemp("twin-truth")))
 
 
 @pytest.fixture

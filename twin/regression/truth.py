@@ -1,16 +1,14 @@
 """Truth of a scene, rendered once: light for the camera, paths for the radar."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
 
 from twin.camera.light import render
 from twin.camera.rendered import RenderedLight
-from twin.digest import digest, versions
-from twin.fidelity import Accuracy, Fidelity, knobs_of
+from twin.fidelity import Accuracy, knobs_of
+from twin.kept_results import KeptResults
 from twin.radar import RadarCapture, RadarDesign, radar_capture
-from twin.regression.cache import TruthCache, code
 from twin.scene import Scene
 from twin.system import System
 
@@ -18,7 +16,7 @@ from twin.system import System
 class Truths:
     """Truths in a store on disk. Same scene, design, fidelity and versions: same bits."""
 
-    def __init__(self, store: TruthCache) -> None:
+    def __init__(self, store: KeptResults) -> None:
         self._store = store
 
     def light(
@@ -29,7 +27,8 @@ class Truths:
         """
         knobs = replace(knobs_of(fidelity), motion_tolerance=None)
         return self._store.get(
-            _key("light", scene, system, knobs),
+            "light",
+            (scene, system, knobs),
             lambda: render(scene, system, fidelity=knobs, seed=np.random.SeedSequence(0)),
         )
 
@@ -39,10 +38,5 @@ class Truths:
         """A capture of a scene without noise, whose paths give any number of noisy ones."""
         quiet = replace(knobs_of(fidelity, radar.total_bandwidth_hz), noise="none")
         return self._store.get(
-            _key("echo", scene, radar, quiet), lambda: radar_capture(scene, radar, fidelity=quiet)
+            "capture", (scene, radar, quiet), lambda: radar_capture(scene, radar, fidelity=quiet)
         )
-
-
-def _key(kind: str, scene: Scene, design: System | RadarDesign, fidelity: Fidelity) -> str:
-    variant = os.environ.get("TWIN_VARIANT", "")
-    return digest(kind, scene, design, fidelity, versions(), code(), variant)

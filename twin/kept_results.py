@@ -1,0 +1,136 @@
+"""Results on disk, named by all they depend on, made once however many ask: light and echoes of
+earlier runs, truth of regression tests.
+
+By hand: in joblib's memory a second process does not wait for the first that makes a result, and
+locks of diskcache outlive a process that is killed.
+"""
+
+import fcntl
+import hashlib
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import platformdirs
+
+from hardware.files import whole_file
+from twin.digest import digest, source_digest, versions
+
+T = TypeVar("T")
+
+#: Of all results in a folder.
+_MOST_BYTES = 2**31
+_VARIABLE = "UGV_TWIN_CACHE"
+_CHECKSUM_BYTES = hashlib.sha256().digest_size
+_TWIN = Path(__file__).parent
+_SOURCE = (_TWIN, _TWIN.parent / "hardware")
+_OTHERS = (_TWIN / "regression", _TWIN / "commands", _TWIN / "report")
+
+
+class KeptResults:
+    """A folder of results by key: the latest ones, 2 GB of them at most.
+
+    Processes that want the same one wait for whoever makes it. Where the folder can't be written
+    to, or belongs to somebody else, nothing is kept.
+
+    Attributes
+    ----------
+    found
+        Kinds of the results asked for that were there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.found: list[str] = []
+
+    @classmethod
+    def of_user(cls) -> "KeptResults | None":
+        """Those of a user's commands, in the folder that ``UGV_TWIN_CACHE`` names, by default in
+        the system's own for such files, ``~/.cache/ugv-twin``; None where that is set to nothing.
+        """
+        folder = os.environ.get(_VARIABLE, platformdirs.user_cache_dir("ugv-twin", False))
+        return cls(Path(folder).expanduser()) if folder else None
+
+    def get(self, kind: str, content: Sequence[Any], make: Callable[[], T]) -> T:
+        """A result of some kind, made when there is none.
+
+        ``content`` is all that it is made of, see `digest`. The versions of what computes it count
+        too, and the project's own source, a change of which makes it anew.
+        """
+        variant = os.environ.get("TWIN_VARIANT", "")
+        name = digest(content, versions(), source_digest(*_SOURCE, without=_OTHERS), variant)
+        path = self._folder / f"{kind}-{name}.pickle"
+        with self._locked(path) as is_usable:
+            if not is_usable:
+                return make()
+            kept = self._read(path)
+            if kept is not None:
+                self.found.append(kind)
+                return kept[0]
+            made = make()
+            with suppress(OSError):  # a full disk: it is made anew the next time
+                self._write(path, made)
+            return made
+
+    @contextmanager
+    def _locked(self, path: Path) -> Iterator[bool]:
+        """With a lock of this name, freed even by kill -9; whether there can be one."""
+        try:
+            self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # What is read is run: a pickle of somebody else's is not.
+            is_own = self._folder.stat().st_uid == os.getuid()
+            lock = path.with_suffix(".lock").open("w") if is_own else None
+        except OSError:
+            lock = None
+        if lock is None:
+            yield False
+            return
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            except OSError:  # of a file system without locks
+                yield False
+                return
+            yield True
+
+    def _read(self, path: Path) -> tuple[Any] | None:
+        """What is kept there, if it is whole."""
+        with suppress(OSError):
+            content = memoryview(path.read_bytes())
+            checksum, pickled = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+            if hashlib.sha256(pickled).digest() == checksum:
+                os.utime(path)  # the oldest go first
+                return (pickle.loads(pickled),)
+        return None
+
+    def _write(self, path: Path, made: Any) -> None:
+        pickled = pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL)
+        if len(pickled) > _MOST_BYTES:
+            return
+        with whole_file(path) as partial, partial.open("wb") as file:
+            file.write(hashlib.sha256(pickled).digest())
+            file.write(pickled)
+        self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        left = _MOST_BYTES
+        for path in sorted(self._folder.glob("*.pickle"), key=_age, reverse=True):
+            left -= _size(path)
+            if left < 0:
+                path.unlink(missing_ok=True)
+                path.with_suffix(".lock").unlink(missing_ok=True)
+
+
+def _age(path: Path) -> float:
+    with suppress(OSError):
+        return path.stat().st_mtime
+    return 0.0
+
+
+def _size(path: Path) -> int:
+    with suppress(OSError):
+        return path.stat().st_size
+    return 0
