@@ -78,12 +78,13 @@ def _between(table: Array, at: Array) -> Array:
 def held_out_pictures() -> tuple[FineScene, ...]:
     """Every other picture."""
     import skimage
-    from skimage import color, io, transform
+    from skimage import color, transform
+    from skimage.io import imread
 
     size = (SIDE + 2 * BEYOND) * SAMPLES
     found = []
     for name in NAMES[1::2]:
-        picture = io.imread(Path(skimage.__file__).parent / "data" / name)
+        picture = imread(Path(skimage.__file__).parent / "data" / name)
         grey = color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
         found.append(FineScene.of(transform.resize(grey, (size, size), anti_aliasing=True)))
     return tuple(found)

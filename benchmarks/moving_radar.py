@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import mpmath
 import numpy as np
 
 from benchmarks.timing import Figure
@@ -73,7 +74,7 @@ def at_rest(scene: Scene) -> Scene:
 
 def _point(reference: exact.Place, course: Turning) -> float:
     """Of a point on a body, over all slots and 4 GHz."""
-    place = np.array([float(x) for x in reference(exact.mpmath.mpf(0))])
+    place = np.array([float(x) for x in reference(mpmath.mpf(0))])
     item = ball("hub", (12.0, 3.0, 0.0), 0.05, 1).following(course)
     scene = world(item, targets=(carried("t", place, item),))
     wave = RADAR.ofdm

@@ -42,12 +42,13 @@ NAMES = (
 def pictures(rows: int, columns: int) -> tuple[NDArray[np.float64], ...]:
     """All pictures on a grid, ``(rows, columns)`` each."""
     import skimage
-    from skimage import color, io, transform
+    from skimage import color, transform
+    from skimage.io import imread
 
     folder = Path(skimage.__file__).parent / "data"
     found = []
     for name in NAMES:
-        picture = io.imread(folder / name)
+        picture = imread(folder / name)
         grey = color.rgb2gray(picture[..., :3]) if picture.ndim == 3 else picture / 255.0
         found.append(transform.resize(grey, (rows, columns), anti_aliasing=True))
     return tuple(found)

@@ -36,7 +36,8 @@ def block_psnr(picture: NDArray[np.floating], ratio: float) -> float:
 
 def main() -> None:
     """Print the table for a folder; exit code 1 where the mean is off by more than 0.02 dB."""
-    from skimage import color, io
+    from skimage import color
+    from skimage.io import imread
 
     if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
         raise SystemExit("usage: python -m benchmarks.published_table FOLDER")
@@ -46,7 +47,7 @@ def main() -> None:
         raise SystemExit(f"{sys.argv[1]}: no images")
     pictures = []
     for path in paths:
-        picture = io.imread(path)
+        picture = imread(path)
         pictures.append(picture if picture.ndim == 2 else 255 * color.rgb2gray(picture[..., :3]))
     worst = 0.0
     print(f"{len(pictures)} images; published: 11 of Set11")

@@ -130,12 +130,15 @@ def rmse(
 def _angles() -> Iterator[Figure]:
     """Two transmitters, four receivers, half a wavelength; SNR after beamforming."""
     from hardware.radar.angles import direction
+    from hardware.radar.array_plane import ArrayPlane
     from hardware.radar.channel_noise import ChannelNoise
 
     burst = demodulate(cube(replace(WIDE, n_slots=8), [Echo((4, 0, 0))], **MIMO))
     rng = np.random.default_rng(0)
     places = np.arange(8) / 2
     still = replace(burst, tdm_offset_s=np.zeros(8))  # standing target: no turns to unfold
+    plane = ArrayPlane.of(still)
+    assert plane is not None
     for snr_db in (17, 20, 30, 40):
         each = 10 ** (snr_db / 10) / 8
         errors = []
@@ -143,7 +146,8 @@ def _angles() -> Iterator[Figure]:
             sine = rng.uniform(-0.8, 0.8)
             noise = rng.normal(size=(8, 2)).view(np.complex128)[..., 0] / np.sqrt(2 * each)
             seen = np.exp(2j * np.pi * places * sine) + noise
-            errors.append(direction(seen, still, 0.0, ChannelNoise.white(8, 1 / each)).left - sine)
+            noise_w = ChannelNoise.white(8, 1 / each)
+            errors.append(direction(seen, still, 0.0, noise_w, plane).left - sine)
         bound = np.sqrt(6 / (8 * each * 63)) / np.pi
         near = np.abs(errors) < 0.5
         ratio = np.sqrt(np.mean(np.square(errors)[near])) / bound

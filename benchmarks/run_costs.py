@@ -6,16 +6,16 @@ import builtins
 import json
 import sys
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any
 
-#: Processor time in s: of stages and of what is called `choosing`, which is part of them.
-spent: Counter[str] = Counter()
-_CHOOSING = "choosing"
+#: Processor time in s: of stages and of what chooses, see `count_choosing`, which is part of them.
+spent: dict[str, float] = defaultdict(float)
+_CHOOSING, _WAVES, _MOTION = "choosing", "choosing waves", "checking motion"
 
 
 def count_imports() -> None:
@@ -63,21 +63,31 @@ def count(owner: Any, function: str, name: str, sign: int = 1) -> None:
 
 
 def count_choosing() -> None:
-    """Bounds that decide what is modelled, and the numbers of paths; of the radar's reflections the
-    bound is a by-product of the rays that are traced for them, and is not counted.
+    """Bounds that decide what is modelled, and the numbers of paths: `choosing`. Apart from these
+    `choosing waves`, bounds of the waves round obstacles, by which cells and ways are taken that
+    these are followed to, and `checking motion`, echoes of other instants, which tell what one
+    leaves out. Of the radar's reflections the bound is a by-product of the rays that are traced for
+    them, and is not counted.
     """
     from twin.camera import light_within
-    from twin.optics.adaptive import _Part
+    from twin.optics.path_sets import PathSets
     from twin.optics.problem import LightProblem
     from twin.radar.propagation import effects_by_bounds, physical_optics, physical_optics_solver
+    from twin.radar.propagation.diffraction import behind_obstacles
+    from twin.radar.propagation.interval import instants
 
     count(light_within, "gather_within", _CHOOSING)
-    count(_Part, "draw", _CHOOSING, sign=-1)
+    count(PathSets, "draw", _CHOOSING, sign=-1)
     count(LightProblem, "largest_indirect", _CHOOSING)
     count(physical_optics, "edge_bound", _CHOOSING)
     count(physical_optics_solver, "silent_objects", _CHOOSING)
     for name in ("on_faint_bodies", "on_edges", "on_reflections"):
         count(effects_by_bounds, name, _CHOOSING)
+    count(behind_obstacles, "_of_body", _WAVES)
+    for name in ("worth_following", "mirrored_ways", "edges_beside", "mirror_borders"):
+        count(physical_optics_solver, name, _WAVES)
+    count(instants, "largest_change", _MOTION)
+    count(instants, "checked", _MOTION)
 
 
 def costs(scene: str, folder: Path) -> dict[str, float]:

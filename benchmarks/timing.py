@@ -2,7 +2,7 @@
 
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -55,9 +55,13 @@ def processor_time(work: Callable[[], _Result]) -> tuple[float, list[_Result]]:
     return spent / len(results), results
 
 
-def timed_command(command: Sequence[str], runs: int = 5) -> Timing:
+def timed_command(
+    command: Sequence[str], runs: int = 5, environment: Mapping[str, str] | None = None
+) -> Timing:
     """Time a whole process."""
-    return timed(lambda: subprocess.run(command, check=True, capture_output=True), runs)
+    return timed(
+        lambda: subprocess.run(command, check=True, capture_output=True, env=environment), runs
+    )
 
 
 def fft_workload() -> Timing:
