@@ -171,6 +171,26 @@ def test_where_a_wall_is_folded_both_parts_end(
     assert error < 0.1 * abs(whole[0])
 
 
+def test_a_surface_mirrors_however_small_where_it_is_declared(
+    whole: tuple[complex, complex],
+) -> None:
+    """A strip two Fresnel zones wide. Below ten in the mean no image was made of it, without a word.
+    """
+    begin, end = (5.0, FOOT_M - 0.15), (5.0, FOOT_M + 0.15)
+    (x, y), (u, v) = begin, end
+    strip = quad("wall", [[x, y, -2.5], [u, v, -2.5], [u, v, 2.5], [x, y, 2.5]], radar="surface")
+    found = trace(world(strip, ball("ball", PLACE, 0.1, 5)), RADAR)
+    small = facets(ball("ball", PLACE, 0.1, 6))
+    near, far = (HalfPlane(edge, (0.0, -1.0)) for edge in (end, begin))
+    seen_by = by_walls(small, [near]) + by_walls(small, [far])
+    seen_by -= by_both(small, near, far) + by_both(small, far, near)
+    truth = seen_by / whole[1] * whole[0]
+    error = abs(over_walls(found) - truth)
+    assert error < stated(found)
+    assert error < 0.1 * abs(whole[0])
+    assert abs(truth) > 0.5 * abs(whole[0])
+
+
 def square(middle_m: Array, towards: Array, side_m: float) -> Array:
     """Corners (2, 3, 3) of two triangles that face in a direction."""
     one = np.cross([0.0, 0.0, 1.0], towards)

@@ -32,6 +32,7 @@ from twin.radar.propagation.scene.materials import surface_of
 from twin.radar.propagation.scene.mesh_scene import Flats, MeshScene, anchor_of, flats, mesher
 from twin.radar.propagation.scene.overlaps import echoing_once
 from twin.radar.propagation.scene.scattering_models import (
+    LARGE,
     LARGE_BESIDE_OPTICS,
     Assignment,
     ScatteringModel,
@@ -181,6 +182,7 @@ def prepare_scene(
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
     axes, anchor = scene.rig.device("radar")[1], anchor_of(place_m)
     role_of = {a.name: a.role for a in roles}
+    declared = {a.name for a in roles if a.declared}
     traced_items = [
         item for item in scene.objects if role_of[item.name] is not ScatteringModel.TARGET
     ]
@@ -195,11 +197,11 @@ def prepare_scene(
     once, remarks = echoing_once(solid, scatters, anchor, place_m)
     mi, world, place = mitsuba_of_radar(), mesher(once, anchor), place_m - anchor
     wavelength = radar.ofdm.wavelength_m
-    mirrors, patch_of_face = flats(world, _zones(solid, role_of, place_m, wavelength))
+    mirrors, patch_of_face = flats(world, _zones(solid, role_of, declared, place_m, wavelength))
     items, through = [item for item in world.items if item], None
     if clear:
         mesh = mesher(clear, anchor)
-        more, labels = flats(mesh, _zones(clear, role_of, place_m, wavelength))
+        more, labels = flats(mesh, _zones(clear, role_of, declared, place_m, wavelength))
         values = [slabs[item.name] for item in clear]
         through = walls(mi, mesh, values, labels + np.uint32(len(mirrors)), carrier)
         mirrors = mirrors.and_walls(more, len(solid))
@@ -379,13 +381,23 @@ def _slabs(
 def _zones(
     items: Sequence[SceneObject],
     role_of: dict[str, ScatteringModel],
+    declared: Collection[str],
     place_m: Array,
     wavelength_m: float,
 ) -> Array:
-    """Of every surface, the side from which a flat patch of it mirrors; infinite for others."""
+    """Of every surface, the side from which a flat patch of it mirrors; infinite for others.
+
+    Of one that the scene has declared to be a surface the largest patch does whatever its size, and
+    others do from where the image method may be taken to hold at all.
+    """
     near = np.maximum(distances_m(boxes_of(items), place_m), 1e-3)
-    sides: Array = LARGE_BESIDE_OPTICS * np.sqrt(wavelength_m * near)
-    is_surface = np.array(
-        [role_of[item.name] is ScatteringModel.SURFACE for item in items], dtype=bool
-    )
-    return np.where(is_surface, sides, np.inf)
+    zones: Array = np.sqrt(wavelength_m * near)
+    sides = np.full(len(items), np.inf)
+    for i, item in enumerate(items):
+        if role_of[item.name] is not ScatteringModel.SURFACE:
+            continue
+        sides[i] = LARGE_BESIDE_OPTICS * zones[i]
+        if item.name in declared:
+            largest_m = item.geometry.shape.largest_patch_m2**0.5 * (1 - 1e-9)
+            sides[i] = min(LARGE * zones[i], largest_m)
+    return sides
