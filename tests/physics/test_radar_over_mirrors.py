@@ -174,8 +174,7 @@ def test_where_a_wall_is_folded_both_parts_end(
 def test_a_surface_mirrors_however_small_where_it_is_declared(
     whole: tuple[complex, complex],
 ) -> None:
-    """A strip two Fresnel zones wide. Below ten in the mean no image was made of it, without a word.
-    """
+    """A strip two Fresnel zones wide: below ten no image was made of it, without a word."""
     begin, end = (5.0, FOOT_M - 0.15), (5.0, FOOT_M + 0.15)
     (x, y), (u, v) = begin, end
     strip = quad("wall", [[x, y, -2.5], [u, v, -2.5], [u, v, 2.5], [x, y, 2.5]], radar="surface")

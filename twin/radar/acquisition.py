@@ -25,7 +25,7 @@ from twin.radar.propagation.interval.instants import traced_interval, weights
 from twin.radar.propagation.kept import kept_interval
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
-from twin.radar.propagation.solvers import solver_of
+from twin.radar.propagation.solvers import seen_by, solver_of
 from twin.radar.synthesis import Complex, Contributions
 from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene
@@ -152,10 +152,10 @@ def radar_echo(
     check_kind("scene", scene, Scene, "twin.load_scene")
     check_kind("radar", radar, RadarDesign, "twin.load_radar")
     check_seed(seed)
-    worlds = _worlds(scene, radar, poses, interval_s)
+    knobs, air = knobs_of(fidelity, radar.total_bandwidth_hz), _air(weather, radar)
+    worlds = [seen_by(radar, w, knobs) for w in _worlds(scene, radar, poses, interval_s)]
     for world in worlds:
         _check_targets(world)
-    knobs, air = knobs_of(fidelity, radar.total_bandwidth_hz), _air(weather, radar)
     ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1

@@ -17,7 +17,7 @@ from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.prepared_scene import prepare_scene
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
-from twin.radar.propagation.solvers import trace
+from twin.radar.propagation.solvers import seen_by, trace
 from twin.scene import Scene
 from twin.trade.measurement import BodyError
 from twin.trade.sampled import direct_echo, points_of
@@ -55,6 +55,7 @@ def reference_bodies(
     scene: Scene, radar: RadarDesign, fidelity: Fidelity, finest: Propagation, seed: int
 ) -> Bodies:
     """References of all bodies; ``finest`` is the propagation at this, the finest fidelity."""
+    scene = seen_by(radar, scene, fidelity)
     names = _names(scene, finest)
     frequencies = band_of(radar.ofdm)
     echo = echoes_by_body(finest, names, radar, frequencies)

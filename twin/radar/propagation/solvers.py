@@ -13,6 +13,7 @@ from twin.radar.propagation.facets.earlier import TracedFrame
 from twin.radar.propagation.free_space import straight_paths
 from twin.radar.propagation.physical_optics_solver import echoes
 from twin.radar.propagation.result import Propagation
+from twin.radar.propagation.scene.parts import parted
 from twin.radar.propagation.sionna.paths import sionna_paths
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
@@ -125,6 +126,13 @@ def solver_of(fidelity: Fidelity) -> Solver:
     return Solver(model, own.name)
 
 
+def seen_by(radar: RadarDesign, scene: Scene, fidelity: Fidelity) -> Scene:
+    """The scene as a radar meets it: by physical optics what stands in one mesh with a large
+    surface is an object of its own (`parted`).
+    """
+    return parted(scene, radar) if solver_of(fidelity).has_tolerance else scene
+
+
 def trace(
     scene: Scene,
     radar: RadarDesign,
@@ -168,6 +176,7 @@ def trace(
     knobs = knobs_of(fidelity, radar.total_bandwidth_hz)
     solver = solver_of(knobs)
     traced = _traced(earlier, radar, knobs, solver)
+    scene = seen_by(radar, scene, knobs)
     if solver.reusing is not None:
         found = solver.reusing(scene, radar, knobs, seed, traced, keep=keep, followed_s=followed_s)
         return _finite(found, scene)

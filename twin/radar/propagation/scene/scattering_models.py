@@ -87,7 +87,7 @@ def assign_scattering_models(
         ):
             role = wanted
         elif with_optics:
-            role = _by_size(shape, distance, wavelength_m, item.name in declared)
+            role = role_by_size(shape, distance, wavelength_m, item.name in declared)
         elif item.name in declared:
             role = ScatteringModel.TARGET
         elif ratio >= LARGE:
@@ -118,9 +118,10 @@ def _beside(scene: Scene, declared: set[str]) -> set[str]:
     return neighbours
 
 
-def _by_size(
-    shape: Shape, distance_m: float, wavelength_m: float, is_declared: bool
+def role_by_size(
+    shape: Shape, distance_m: float, wavelength_m: float, is_declared: bool = False
 ) -> ScatteringModel:
+    """What an object is by the rule of this module where meshes scatter by physical optics."""
     zone = (wavelength_m * distance_m) ** 0.5
     large_m2 = shape.area_in_patches_m2((LARGE_BESIDE_OPTICS * zone) ** 2)
     is_flat = shape.bend_radius_m >= _BENT * distance_m
