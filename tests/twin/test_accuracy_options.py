@@ -71,13 +71,14 @@ def test_a_drive_has_the_light_of_its_tolerance(twin: Command, tmp_path: Path) -
     design, files = small(tmp_path), (tmp_path / "told.mcap", tmp_path / "python.mcap")
     options = ("--tolerance", "2", "--duration", "0.02 s", "--out", files[0])
     assert twin("drive", *alone(design), *options)[0] == 0
-    for fidelity, same in ((Tolerance(2.0), True), (Tolerance(), False)):
+    asked = ((Tolerance(2.0), True), (Tolerance(2.0).knobs(), True), (Tolerance(), False))
+    for fidelity, same in asked:
         plan = Drive(
             scene=load_scene("table1"),
             system=load_system(design),
             radar=None,
             duration_s=0.02,
-            fidelity=fidelity.knobs(),
+            fidelity=fidelity,
         )
         drive(plan, files[1])
         assert (files[0].read_bytes() == files[1].read_bytes()) == same

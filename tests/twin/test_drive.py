@@ -23,7 +23,7 @@ from hardware.processing import process
 from hardware.radar.process import frames
 from hardware.recording import Log, read_messages, read_records, recover
 from hardware.records import RadarRecord, SpiRecord
-from tests.twin.driven import CAMERA, FAST, driven_scene, plan
+from tests.twin.driven import CAMERA, FAST, RADAR, driven_scene, plan
 from twin.camera.mounting import devices
 from twin.camera.truth import render_truth
 from twin.cli import app
@@ -33,6 +33,7 @@ from twin.drive.log import MARKS, _Output
 from twin.drive.sensors import CameraFrames
 from twin.drive.truth import Mark, ObjectStates
 from twin.drive.truth_samples import TruthSamples
+from twin.fidelity import Accuracy, Tolerance, knobs_of
 from twin.radar import load_radar
 from twin.scene import Scene, Target, load_scene
 from twin.scene.boxes import boxes_of
@@ -50,6 +51,28 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.complete
     assert (done.events, done.resumed) == (3 + 3 + 5, 0)
     return path
+
+
+@pytest.mark.parametrize("fidelity", ["draft", Tolerance(distance_m=0.02), 0.5, None])
+def test_an_accuracy_is_the_knobs_that_it_asks_for(fidelity: Accuracy | None) -> None:
+    """Those of `twin.run`, a distance by the radar's bandwidth; they are in the log and its digest
+    as if they had been given.
+    """
+    asked = plan(fidelity=fidelity)
+    knobs = knobs_of(fidelity, RADAR.total_bandwidth_hz)
+    assert asked.knobs == knobs
+    assert asked.digest == plan(fidelity=knobs).digest != plan().digest
+
+
+def test_an_accuracy_that_cannot_be_kept_is_refused_with_the_plan() -> None:
+    for wrong, told in (
+        ("fine", "fidelity: 'fine' is none of"),
+        (Tolerance(distance_m=1e-6), "cannot be promised"),
+        (Tolerance(psnr_db=0.1), "fidelity_for_scores"),
+        ([1], r"tolerance: noise_share: \[1\]"),
+    ):
+        with pytest.raises(InputError, match=told):
+            plan(fidelity=wrong)
 
 
 def test_a_log_cut_at_any_byte_is_gone_on_with_to_the_same_bytes(

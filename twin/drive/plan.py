@@ -2,7 +2,8 @@
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from twin.camera.stream import moves
 from twin.digest import digest, source_digest, versions
 from twin.drive.clocks import DeviceClock
 from twin.errors import InputError, check_seed
-from twin.fidelity import Fidelity
+from twin.fidelity import Accuracy, Fidelity, knobs_of
 from twin.radar import RadarDesign
 from twin.scene import Scene
 from twin.system import System
@@ -50,7 +51,7 @@ class Drive:
     duration_s
         All that is complete by then is recorded.
     fidelity
-        Knobs of both sensors.
+        Of both sensors, as `twin.run` takes it: knobs, a preset's name, or a `Tolerance`.
     seed
         Of every random draw: frame k of a sensor depends on it and on k alone.
     radar_period_s
@@ -61,14 +62,14 @@ class Drive:
         Of the devices.
 
     Raises InputError for a duration in which no sensor measures anything, or which a trajectory
-    does not cover.
+    does not cover, and for an accuracy that `twin.run` refuses.
     """
 
     scene: Scene
     system: System | None
     radar: RadarDesign | None
     duration_s: float
-    fidelity: Fidelity
+    fidelity: Accuracy | None
     seed: int = 0
     radar_period_s: float = 0.1
     truth_period_s: float = 0.1
@@ -79,6 +80,7 @@ class Drive:
         if self.system is None and self.radar is None:
             raise InputError("system, radar: both are none, expected at least one of them")
         check_seed(self.seed)
+        _ = self.knobs  # refused before time is spent
         if not 0 < self.duration_s <= _LONGEST_S:
             raise InputError(
                 f"duration: {self.duration_s:g} s: expected a time above 0, up to {_LONGEST_S:g} s"
@@ -103,6 +105,11 @@ class Drive:
             raise InputError(
                 f"duration: {self.duration_s:g} s: shorter than the first frame of every sensor"
             )
+
+    @cached_property
+    def knobs(self) -> Fidelity:
+        """Of both sensors, as the accuracy and the radar's bandwidth ask for."""
+        return knobs_of(self.fidelity, self.radar.total_bandwidth_hz if self.radar else None)
 
     @property
     def moves(self) -> bool:
@@ -143,7 +150,7 @@ class Drive:
     def digest(self) -> str:
         """Of all that the log's bytes depend on, this software and its engines among them."""
         packages = (Path(__file__).parents[1], Path(__file__).parents[2] / "hardware")
-        return digest(self, versions(), source_digest(*packages))
+        return digest(replace(self, fidelity=self.knobs), versions(), source_digest(*packages))
 
 
 def _events(

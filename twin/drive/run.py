@@ -84,7 +84,7 @@ def drive(
         "duration_s": repr(float(plan.duration_s)),
         "seed": str(plan.seed),
         "digest": plan.digest,
-        **words_of(plan.fidelity),
+        **words_of(plan.knobs),
     }
 
     def is_over() -> bool:

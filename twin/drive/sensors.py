@@ -67,11 +67,11 @@ class CameraFrames:
         seed = seed_of(drive.seed, 0, number)
         if drive.moves:
             world = drive.scene.after(1e-9 * begin_ns)
-            taken = capture(world, system, seed=seed, fidelity=drive.fidelity)
+            taken = capture(world, system, seed=seed, fidelity=drive.knobs)
         else:
             rng = np.random.default_rng(seed)
             world, light = self._still.at(1e-9 * begin_ns)
-            taken = measure(world, system, light, rng=rng, noise=drive.fidelity.noise)
+            taken = measure(world, system, light, rng=rng, noise=drive.knobs.noise)
         begin_ns = drive.camera_clock.after_start(0)
         return Measured(numbered(taken.record, system, number, begin_ns), taken.warnings)
 
@@ -89,7 +89,7 @@ class CameraFrames:
     def _still(self) -> StillWorld:
         drive, seed = self.drive, np.random.SeedSequence([self.drive.seed, 2])
         assert drive.system is not None
-        return StillWorld(drive.scene, drive.system, drive.fidelity, seed)
+        return StillWorld(drive.scene, drive.system, drive.knobs, seed)
 
 
 class RadarBursts:
@@ -121,7 +121,7 @@ class RadarBursts:
             replace(drive.scene, track=None).after(1e-9 * middle_ns),
             drive.radar,
             seed=seed,
-            fidelity=drive.fidelity,
+            fidelity=drive.knobs,
             weather=weather,
         )
         if not drive.moves:
