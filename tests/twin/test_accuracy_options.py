@@ -170,10 +170,18 @@ def test_an_error_of_a_sensor_that_there_is_not_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("asked", ["0.5 dB", "1 %", "0.1, 2 mm"])
-def test_a_trade_takes_a_share_of_the_noise_alone(twin: Command, asked: str) -> None:
-    """A per cent of a cell's light is no hundredth of the noise."""
-    ended, _, error = twin("trade", "table1", "--tolerance", asked)
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--tolerance", "PSNR 0.1 dB"), "of levels no scores of images are measured"),
+        (("--tolerance", "0.1, 2 mm", "--radar", "none"), "without a radar"),
+        (("--tolerance", "1 um"), "cannot be promised"),
+    ],
+)
+def test_a_trade_refuses_what_it_cannot_measure(
+    twin: Command, options: tuple[str, ...], told: str
+) -> None:
+    ended, _, error = twin("trade", "table1", *options)
     assert ended != 0
-    assert "expected a share of it (0.2)" in error
+    assert told in error
     assert error.count("\n") == 1

@@ -1,6 +1,7 @@
 """Speed against accuracy: time, memory and error of every fidelity level on a scene and machine."""
 
-from twin.trade.measurement import Choice, Cost, LevelMeasurement, cheapest, front, most_accurate
+from twin.trade.choice import Choice, cheapest, most_accurate
+from twin.trade.measurement import Cost, LevelMeasurement, front
 from twin.trade.pareto import choose_fidelity, run_trade
 from twin.trade.result import Trade
 from twin.trade.score_tolerance import ScoredFidelity, fidelity_for_scores

@@ -19,7 +19,7 @@ from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.scattering_models import ScatteringModel
 from twin.radar.propagation.solvers import seen_by, trace
 from twin.scene import Scene
-from twin.trade.measurement import BodyError
+from twin.trade.measurement import BY_SOLVER, BodyError
 from twin.trade.sampled import direct_echo, points_of
 
 Array = NDArray[np.float64]
@@ -79,11 +79,17 @@ def reference_bodies(
 
 
 def errors_of(
-    bodies: Bodies, propagation: Propagation, radar: RadarDesign, tolerance: float
+    bodies: Bodies,
+    propagation: Propagation,
+    radar: RadarDesign,
+    tolerance: float,
+    *,
+    synthesis: float = 0.0,
 ) -> tuple[BodyError, ...]:
     """Complex errors, rms over the band, of every body within 40 dB of the strongest.
 
-    A body is converged where its error is at most the tolerance.
+    A body is converged where its error is at most the tolerance. ``synthesis``: error of the whole
+    channel by its synthesis, rms, received over sent.
     """
     echo = echoes_by_body(propagation, bodies.names, radar, bodies.frequencies_hz)
     error = np.sqrt(np.mean(np.abs(echo - bodies.echo) ** 2, axis=1))
@@ -99,8 +105,9 @@ def errors_of(
             reference=(
                 "direct echo sampled by brute force"
                 if bodies.is_sampled[i]
-                else f"the solver itself at tolerance {bodies.finest}"
+                else f"{BY_SOLVER} at tolerance {bodies.finest}"
             ),
+            synthesis=float(synthesis / level[i]),
         )
         for i in order
     )

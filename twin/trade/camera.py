@@ -69,10 +69,11 @@ class CameraCase:
 
 @dataclass(frozen=True, eq=False)
 class CellSignals:
-    """Electrons of each cell lit alone, (n_detectors, n_cells), their part that the patterns
-    measure; and the sun's power on all detectors, W.
+    """Electrons of each cell lit alone, (n_detectors, n_cells), all of them and their part that the
+    patterns measure; and the sun's power on all detectors, W.
     """
 
+    all_e: Array
     cells_e: Array
     sun_w: float
 
@@ -81,7 +82,8 @@ class CellSignals:
         """Through lens, filter and shutters."""
         power = case.chain.powers(rendered)
         cells = case.electrons_per_watt * power.cells_w.sum(axis=0)
-        return cls(measurable_part(cells, case.system.patterns), float(power.sun_w.sum()))
+        measurable = measurable_part(cells, case.system.patterns)
+        return cls(cells, measurable, float(power.sun_w.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +161,12 @@ def _measure_reference(case: CameraCase, stage: OpenStage) -> tuple[Reference, L
 
     cost, rendered = measure_cost(light, least=_REFERENCE_RUNS)
     signals = [CellSignals.of(case, one) for one in rendered]
-    cells = np.mean([p.cells_e for p in signals], axis=0)
-    sun_w = float(np.mean([p.sun_w for p in signals]))
-    reference = Reference(CellSignals(cells, sun_w), _pixel_noise(case, rendered[0]), rendered[0])
+    mean = CellSignals(
+        np.mean([p.all_e for p in signals], axis=0),
+        np.mean([p.cells_e for p in signals], axis=0),
+        float(np.mean([p.sun_w for p in signals])),
+    )
+    reference = Reference(mean, _pixel_noise(case, rendered[0]), rendered[0])
     name = f"reference: {finest.samples} paths, {finest.max_depth} bounces"
     own = _compare_level(case, name, finest, cost, signals, reference)
     # Each render is part of the mean that it is compared with.
@@ -171,6 +176,7 @@ def _measure_reference(case: CameraCase, stage: OpenStage) -> tuple[Reference, L
         own,
         error=own.error * unbiased,
         over_noise=own.over_noise * unbiased,
+        over_cells=own.over_cells * unbiased,
         detail=own.detail | {key: own.detail[key] * unbiased for key in errors},
         note=f"scatter of {len(signals)} renders; their mean is what all are compared with",
     )
@@ -207,7 +213,18 @@ def _compare_level(
             "total_light_off": _ratio(total, float(reference.signals.cells_e.sum()), 1.0) - 1,
             "sun_off": _ratio(sun_w, reference.signals.sun_w, 1.0) - 1,
         },
+        over_cells=_over_cells(signals, reference.signals.all_e),
     )
+
+
+def _over_cells(signals: list[CellSignals], true_e: Array) -> float:
+    """Error of each cell's light over that light, or the cells' mean where that is more, as
+    `Tolerance.cell_share` is; root mean square over cells and runs.
+    """
+    off = np.abs(np.stack([p.all_e for p in signals]) - true_e)
+    each = np.broadcast_to(np.maximum(true_e, true_e.mean()), off.shape)
+    over = np.divide(off, each, out=np.where(off, np.inf, 0.0), where=each > 0)
+    return float(np.sqrt(np.mean(over**2)))
 
 
 def _pixel_noise(case: CameraCase, rendered: RenderedLight) -> Array:

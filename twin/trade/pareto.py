@@ -7,7 +7,8 @@ import numpy as np
 
 from hardware.patterns import PatternSet
 from twin.errors import check_seed
-from twin.fidelity import DEFAULT_SHARE, Fidelity
+from twin.fidelity import DEFAULT_SHARE, Fidelity, Tolerance
+from twin.fidelity.knobs import is_number
 from twin.files import InputError, check_out
 from twin.progress import OpenStage, Stages, silently
 from twin.radar import RadarDesign, load_radar
@@ -22,9 +23,11 @@ from twin.trade.camera import (
     measure_noise,
     noise_stages,
 )
-from twin.trade.measurement import Choice, LevelMeasurement, Model, cheapest, most_accurate
+from twin.trade.choice import Choice, cheapest, most_accurate
+from twin.trade.criterion import Criterion, criteria_of
+from twin.trade.measurement import LevelMeasurement, Model
 from twin.trade.meter import measure_cost
-from twin.trade.radar import measure_radar, radar_stages
+from twin.trade.radar import measure_radar, radar_stages, reference_tolerance
 from twin.trade.result import Trade
 
 
@@ -33,7 +36,7 @@ def run_trade(
     system: str | Path | System = "workable",
     *,
     radar: str | Path | RadarDesign | None = "hybrid-79",
-    tolerance: float = DEFAULT_SHARE,
+    tolerance: Tolerance | float = DEFAULT_SHARE,
     within_s: float | None = None,
     seed: int = 0,
     out: str | Path | None = None,
@@ -45,7 +48,10 @@ def run_trade(
     scene, system, radar
         As in `twin.run`.
     tolerance
-        Acceptable error of a level, in units of the sensor's own noise.
+        Acceptable error of a level, in units of the sensor's own noise; or a `Tolerance`, whose
+        share of a cell's light, level of an echo, or distance takes the place of the noise: the
+        error of the cells' light, root mean square over the cells; the largest error of an echo of
+        the bodies within 40 dB of the strongest. Scores of an image are refused.
     within_s
         In place of the cheapest level within the tolerance, the most accurate that takes no longer.
     seed
@@ -66,16 +72,16 @@ def run_trade(
     from twin.trade.report import write_trade
 
     check_out(out)
-    design, sensor = _inputs(system, radar, tolerance, seed)
+    design, sensor, asked = _inputs(system, radar, tolerance, seed)
     if within_s is not None and not 0 < within_s < np.inf:
         raise InputError(f"within: {within_s:g} s is not above 0")
     with Stages(len(stage_names(design, sensor))) as stages:
         with stages.stage("load"):
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-        folder = Path(out or _folder(loaded, design, sensor, tolerance, within_s, seed))
+        folder = Path(out or _folder(loaded, design, sensor, asked, within_s, seed))
         with figures_folder(folder, "trade", "trade.csv", "trade.md", "trade.png") as partial:
             trade = _measure(
-                loaded, design, sensor, tolerance, within_s, seed, stages.stage, checked=True
+                loaded, design, sensor, asked, within_s, seed, stages.stage, checked=True
             )
             write_trade(trade, partial)
     return trade, folder
@@ -83,37 +89,39 @@ def run_trade(
 
 def choose_fidelity(
     scene: str | Path | Scene,
-    tolerance: float = DEFAULT_SHARE,
+    tolerance: Tolerance | float = DEFAULT_SHARE,
     *,
     system: str | Path | System = "workable",
     radar: str | Path | RadarDesign | None = "hybrid-79",
     seed: int = 0,
 ) -> Fidelity:
-    """The cheapest fidelity whose measured error on a scene stays below the tolerance, in units of
-    the sensor's own noise; the most accurate one where none does.
+    """The cheapest fidelity whose measured error on a scene stays below the tolerance, as
+    `run_trade` takes it; the most accurate one where none does.
 
     Measures as `run_trade` does, without the brute-force check and without writing anything. Costs
     are measured times: the order of levels of about equal time may change between runs.
     """
-    design, sensor = _inputs(system, radar, tolerance, seed)
+    design, sensor, asked = _inputs(system, radar, tolerance, seed)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-    return _measure(loaded, design, sensor, tolerance, None, seed, silently, checked=False).fidelity
+    return _measure(loaded, design, sensor, asked, None, seed, silently, checked=False).fidelity
 
 
 def _folder(
     scene: Scene,
     system: System,
     radar: RadarDesign | None,
-    tolerance: float,
+    tolerance: Tolerance | float,
     within_s: float | None,
     seed: int,
 ) -> Path:
+    is_absolute = isinstance(tolerance, Tolerance)
+    asked = str(tolerance).replace(", ", "-") if is_absolute else f"{tolerance:g}"
     return named_folder(
         "trade",
         scene.name,
         system.name,
         *unless(radar.name if radar else None, "hybrid-79", "{}", "no-radar"),
-        *unless(tolerance, DEFAULT_SHARE, "tolerance_{:g}"),
+        *unless(asked, f"{DEFAULT_SHARE:g}", "tolerance_{}"),
         *unless(within_s, None, "within_{:g}_s"),
         *unless(seed, 0, "seed_{}"),
     )
@@ -126,21 +134,37 @@ def stage_names(system: System, radar: RadarDesign | None) -> list[str]:
 
 
 def _inputs(
-    system: str | Path | System, radar: str | Path | RadarDesign | None, tolerance: float, seed: int
-) -> tuple[System, RadarDesign | None]:
-    if not 0 < tolerance < np.inf:
+    system: str | Path | System,
+    radar: str | Path | RadarDesign | None,
+    tolerance: Tolerance | float,
+    seed: int,
+) -> tuple[System, RadarDesign | None, Tolerance | float]:
+    """With a tolerance that is a share of the noise alone as that number."""
+    if isinstance(tolerance, Tolerance):
+        share = tolerance.noise_share
+        tolerance = share if tolerance == Tolerance(share) else tolerance
+    elif not is_number(tolerance) or not 0 < tolerance < np.inf:
         raise InputError(
-            f"tolerance: {tolerance:g}: expected a number above 0, in units of the sensor's noise"
+            f"tolerance: {tolerance!r:.60}: expected a number above 0, in units of the sensor's "
+            "noise, or a twin.Tolerance"
         )
     check_seed(seed)
-    return load_system(system), None if radar is None else load_radar(radar)
+    design = None if radar is None else load_radar(radar)
+    if isinstance(tolerance, Tolerance):
+        tolerance.check_sensors(camera=True, radar=design is not None)
+    _criteria(tolerance, design)  # refused before time is spent
+    return load_system(system), design, tolerance
+
+
+def _criteria(tolerance: Tolerance | float, radar: RadarDesign | None) -> dict[Model, Criterion]:
+    return criteria_of(tolerance, radar.total_bandwidth_hz if radar else None)
 
 
 def _measure(
     scene: Scene,
     system: System,
     radar: RadarDesign | None,
-    tolerance: float,
+    tolerance: Tolerance | float,
     within_s: float | None,
     seed: int,
     stage: OpenStage,
@@ -157,18 +181,21 @@ def _measure(
                 measured += [by_force] if by_force else []
     measured += measure_noise(case, reference, stage)
     measured += measure_radar(scene, radar, seed, stage) if radar else []
-    choices = {}
+    criteria, choices = _criteria(tolerance, radar), {}
     for model in get_args(Model):
         levels = [m for m in measured if m.model == model]
         if levels:
             choices[model] = (
-                cheapest(levels, tolerance) if within_s is None else most_accurate(levels, within_s)
+                cheapest(levels, criteria[model])
+                if within_s is None
+                else most_accurate(levels, within_s)
             )
     return Trade(
         scene=scene.name,
         system=system.name,
         radar=radar.name if radar else None,
         tolerance=tolerance,
+        criteria=criteria,
         within_s=within_s,
         seed=seed,
         measurements=tuple(measured),
@@ -176,7 +203,7 @@ def _measure(
         agreement=agreement,
         pixel_noise_e=float(np.median(reference.noise_e)),
         fft_s=_fft_s(),
-        warnings=tuple(_warnings(measured, choices, agreement, radar, tolerance)),
+        warnings=tuple(_warnings(measured, choices, agreement, radar, criteria)),
     )
 
 
@@ -191,18 +218,20 @@ def _warnings(
     choices: dict[Model, Choice],
     agreement: Agreement | None,
     radar: RadarDesign | None,
-    tolerance: float,
+    criteria: dict[Model, Criterion],
 ) -> list[str]:
     warnings = [f"{model}: {c.reason}" for model, c in choices.items() if not c.within]
     if agreement and not agreement.holds:
         warnings.append(f"the reference is off: {agreement}")
-    own = next(m.over_noise for m in measured if m.name.startswith("reference"))
-    if own > tolerance:
+    of_light = criteria["light"]
+    own = next(of_light.error(m) for m in measured if m.name.startswith("reference"))
+    if own > of_light.limit:
         warnings.append(
-            f"light: renders of the reference differ by {own:.2g} of the sensor's noise: errors of "
-            f"all levels are upper bounds"
+            f"light: renders of the reference differ by {own:.2g} {of_light.unit}: errors of all "
+            "levels are upper bounds"
         )
     if "radar" in choices:
+        warnings += _of_reference(choices["radar"].measurement, criteria["radar"])
         unsettled = [e for e in choices["radar"].measurement.bodies if not e.is_converged]
         if unsettled:
             named = ", ".join(f"{e.body} ({100 * e.error:.2g} %)" for e in unsettled)
@@ -212,3 +241,15 @@ def _warnings(
     if radar and "radar" not in choices:
         warnings.append(f"{radar.name}: no echo at all, so its levels cannot be compared")
     return warnings
+
+
+def _of_reference(chosen: LevelMeasurement, criterion: Criterion) -> list[str]:
+    """Where echoes are to be closer than the solver is that they are compared with."""
+    own = reference_tolerance()
+    by_solver = [e.body for e in chosen.bodies if e.is_against_solver]
+    if criterion.is_over_noise or criterion.limit >= own or not by_solver:
+        return []
+    return [
+        f"radar: {', '.join(by_solver)}: compared with echoes to {own:g} of themselves, more than "
+        f"the {criterion.limit:.2g} asked for"
+    ]

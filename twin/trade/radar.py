@@ -61,6 +61,11 @@ def radar_stages() -> list[str]:
     return names
 
 
+def reference_tolerance() -> float:
+    """Error of the echoes of the reference, but for those that are sampled by brute force."""
+    return _FINEST.radar_tolerance
+
+
 @dataclass(frozen=True, eq=False)
 class _ReferenceBins:
     """Bins to compare, the reference channel there by direct sum in float64, and bodies."""
@@ -154,7 +159,13 @@ def _measure_level(
             "echoes": len(propagation.echoes),
         },
         note=f"{bins.channel.size} bins of {wave.n_subcarriers * wave.n_slots}",
-        bodies=errors_of(bins.bodies, propagation, radar, level.radar_tolerance)
+        bodies=errors_of(
+            bins.bodies,
+            propagation,
+            radar,
+            level.radar_tolerance,
+            synthesis=tolerance * bins.rms,
+        )
         if solver_of(level).has_tolerance
         else (),
         leaves_out=_leaves_out(level),

@@ -1,6 +1,7 @@
 """Results as a table for terminal and README, as JSON, CSV, and a plot of the Pareto front."""
 
 import csv
+import math
 import os
 import platform
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from rich.table import Table
 
 from hardware.formatting import json_text, number, si
 from twin import __version__
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.report.style import BLUE, GREY, ORANGE, new_figure, wrapped
 from twin.trade.measurement import LevelMeasurement, Model, front
 from twin.trade.result import Trade
@@ -214,6 +215,8 @@ def _marker(m: LevelMeasurement) -> tuple[str, str, str]:
 
 def _asked(trade: Trade) -> str:
     """What levels were chosen for."""
+    if isinstance(trade.tolerance, Tolerance) and trade.within_s is None:
+        return f"a tolerance of {trade.tolerance}"
     if trade.within_s is None:
         return f"{trade.tolerance:g} of the sensor's noise"
     return f"a frame of {si(trade.within_s, 's')}"
@@ -224,17 +227,8 @@ def _annotate(axis: Any, trade: Trade, model: Model) -> None:
     times = [m.cost.seconds for m in best]
     errors = [max(m.over_noise, _SMALLEST) for m in best]
     axis.plot(times, errors, color=BLUE, lw=0.8, zorder=0, drawstyle="steps-post")
-    axis.axhline(trade.tolerance, color=GREY, lw=0.8, ls="--")
-    axis.text(
-        1.0,
-        trade.tolerance,
-        "the sensor's noise hides what is below ",
-        transform=axis.get_yaxis_transform(),
-        ha="right",
-        va="top",
-        fontsize=7.5,
-        color="#55595f",
-    )
+    if trade.criteria[model].is_over_noise:
+        _draw_limit(axis, trade.criteria[model].limit)
     place = (choice.cost.seconds, max(choice.over_noise, _SMALLEST))
     axis.plot(*place, "o", mfc="none", mec=ORANGE, ms=12, mew=1.6, label="to take", ls="none")
     axis.set_xscale("log")
@@ -248,6 +242,21 @@ def _annotate(axis: Any, trade: Trade, model: Model) -> None:
     axis.set_ylabel(f"error, rms, over {unit}")
     axis.set_title(_title(trade, model), loc="left")
     axis.legend(frameon=False, fontsize=7.5, loc="best")
+
+
+def _draw_limit(axis: Any, limit: float) -> None:
+    """The line of a tolerance of the sensor's noise."""
+    axis.axhline(limit, color=GREY, lw=0.8, ls="--")
+    axis.text(
+        1.0,
+        limit,
+        "the sensor's noise hides what is below ",
+        transform=axis.get_yaxis_transform(),
+        ha="right",
+        va="top",
+        fontsize=7.5,
+        color="#55595f",
+    )
 
 
 def _title(trade: Trade, model: Model) -> str:
@@ -302,6 +311,11 @@ def _cells(trade: Trade, m: LevelMeasurement) -> tuple[str, ...]:
     )
 
 
+def _or_none(error: float) -> float | None:
+    """None of what was not measured."""
+    return None if math.isnan(error) else error
+
+
 def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
     """One row of the CSV."""
     return {
@@ -317,6 +331,8 @@ def _csv_row(trade: Trade, m: LevelMeasurement) -> dict[str, Any]:
         "error": m.error,
         "unit": m.unit,
         "error_over_noise": m.over_noise,
+        "error_over_cells": _or_none(m.over_cells),
+        "error_over_bodies": _or_none(m.over_bodies),
         **m.detail,
         **m.knobs,
         "leaves_out": m.leaves_out,
@@ -332,7 +348,13 @@ def trade_content(trade: Trade) -> dict[str, Any]:
         "scene": trade.scene,
         "system": trade.system,
         "radar": trade.radar,
-        "tolerance": trade.tolerance,
+        "tolerance": str(trade.tolerance)
+        if isinstance(trade.tolerance, Tolerance)
+        else trade.tolerance,
+        "criteria": {
+            model: {"limit": criterion.limit, "unit": criterion.unit}
+            for model, criterion in trade.criteria.items()
+        },
         "within_s": trade.within_s,
         "seed": trade.seed,
         "version": __version__,

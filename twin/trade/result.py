@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.trade.brute_force import Agreement
-from twin.trade.measurement import Choice, LevelMeasurement, Model
+from twin.trade.choice import Choice
+from twin.trade.criterion import Criterion
+from twin.trade.measurement import LevelMeasurement, Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,6 +15,7 @@ class Trade:
     """Cost and error of every fidelity level, and the choice by model.
 
     Levels are chosen by ``tolerance``, or by ``within_s``, the time of a frame, where it is given.
+    ``criteria``: the errors by which levels are judged, and what the tolerance permits of them.
     ``pixel_noise_e``: the sensor's noise of a pixel, median over the detectors, electrons.
     ``fft_s``: time of one complex FFT of 2^20 points in NumPy, for comparison between machines.
     """
@@ -20,7 +23,8 @@ class Trade:
     scene: str
     system: str
     radar: str | None
-    tolerance: float
+    tolerance: Tolerance | float
+    criteria: dict[Model, Criterion]
     within_s: float | None
     seed: int
     measurements: tuple[LevelMeasurement, ...]
