@@ -1,5 +1,6 @@
 """What a sweep says of its points: void, warned of, failed; and what nothing depends on."""
 
+import csv
 import re
 import sys
 from dataclasses import replace
@@ -17,10 +18,10 @@ from twin.camera import capture
 from twin.files import InputError
 from twin.scene import load_scene
 from twin.sweep import Study, load_study, open_sweep, run_sweep
-from twin.sweep.dataset import column, warned_points
+from twin.sweep.dataset import column, half_width, warned_points
 from twin.sweep.effects import check_points
 from twin.sweep.evaluate import evaluate_chunk, kind_of, outcome_of
-from twin.sweep.front import all_points
+from twin.sweep.front import all_points, write_rows
 from twin.sweep.inputs import inputs_of
 from twin.sweep.sensitivity import sensitivities
 from twin.sweep.show import plot_front, plot_plane
@@ -63,11 +64,20 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
     # Listed, the void point has no numbers, and no widths, of what its record does not tell.
     rows = all_points(data)
     is_void = data["void"].to_numpy().ravel().tolist()
-    for end in ("", ".half_width"):
+    for end in ("", ".half_width", ".standard_error", ".systematic", ".noise"):
         assert [bool(np.isnan(row[f"signal_e{end}"])) for row in rows] == is_void
     assert [row["saturated"] for row in rows] == data["saturated"].to_numpy().ravel().tolist()
     assert rows[is_void.index(True)]["saturated"] == 1
     assert np.isfinite([row["signal_e.half_width"] for row in all_points(data, void=True)]).all()
+    # Beside the width of an interval, what it is made of.
+    write_rows(all_points(data, void=True), tmp_path / "points.csv")
+    with (tmp_path / "points.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    for kind in ("standard_error", "systematic", "noise"):
+        told = [float(row[f"signal_e.{kind}"]) for row in read]
+        np.testing.assert_array_equal(told, data[f"signal_e.{kind}"].to_numpy().ravel())
+    width = half_width(data, "signal_e")
+    assert [float(row["signal_e.half_width"]) for row in read] == width.to_numpy().ravel().tolist()
     # Signal knows nothing of the sun: without the void point the diode is all that moves it.
     shares = sensitivities(data, "signal_e")
     assert shares["system.detector.width_m"].first == pytest.approx(1.0)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hardware.files import whole_file
 from hardware.formatting import setting_text, with_error
 from twin.sweep.dataset import COARSE, column, gain, half_width, metrics_of, warned_points
-from twin.sweep.names import RENDERED, check_two
+from twin.sweep.names import ERRORS, RENDERED, check_two
 from twin.sweep.show import pareto_front
 
 if TYPE_CHECKING:
@@ -30,9 +30,10 @@ class FrontDesigns:
     metrics, parameters
         Names.
     rows
-        Of each design its ``point``, parameters, metrics, and ``METRIC.half_width`` of the interval
-        (`twin.accuracy.Interval`), NaN where the sweep has none; and kinds of warnings that were
-        given of it, as ``warned``.
+        Of each design its ``point``, parameters, metrics, and of each metric's interval
+        (`twin.accuracy.Interval`) ``METRIC.half_width`` and what it holds,
+        ``METRIC.standard_error``, ``METRIC.systematic`` and ``METRIC.noise``, NaN where the sweep
+        has none; and kinds of warnings that were given of it, as ``warned``.
     units
         Of the metrics.
     n_points
@@ -141,7 +142,7 @@ def write_rows(rows: list[dict[str, Any]], path: Path, heads: Sequence[str] = ()
 def _rows(
     data: "xarray.Dataset", metrics: Sequence[str], points: NDArray[np.intp], *, void: bool
 ) -> list[dict[str, Any]]:
-    """Number, parameters, metrics, half-widths of their intervals and warnings of some points."""
+    """Number, parameters, metrics, their intervals and warnings of some points."""
     like = data[metrics[0]]
     found: dict[str, list[Any]] = {"point": points.tolist()}
     for name in _parameters(data):
@@ -152,10 +153,12 @@ def _rows(
     for name in metrics:
         found[name] = values[name].tolist()
     for name in metrics:
-        width = half_width(data, name)
-        known = np.full(like.size, np.nan) if width is None else width.to_numpy().ravel()
-        told = np.where(np.isnan(values[name]), np.nan, known[points])
-        found[f"{name}.half_width"] = told.tolist()
+        parts = {kind: data[f"{name}.{kind}"] for kind in ERRORS if f"{name}.{kind}" in data}
+        for kind in ("half_width", *ERRORS):
+            figures = half_width(data, name) if kind == "half_width" else parts.get(kind)
+            known = np.full(like.size, np.nan) if figures is None else figures.to_numpy().ravel()
+            told = np.where(np.isnan(values[name]), np.nan, known[points])
+            found[f"{name}.{kind}"] = told.tolist()
     marked = {one.kind: set(one.points) for one in warned_points(data)}
     found["warned"] = [
         " ".join(kind for kind, some in marked.items() if point in some)
