@@ -6,6 +6,7 @@ import time
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found, Row, judged, shown
 from tests.extremes.light import expected_electrons
+from tests.extremes.waves import plate
 from tests.extremes.worlds import camera, light_stated, look, scene, square, under_tolerance
 from twin.errors import InputError
 
@@ -61,9 +62,16 @@ def _asked(share: float) -> Found:
 def cases() -> list[Case]:
     """All of this room."""
     wall = "mpmath: integral over the field, to electrons"
+    echo = "mpmath: Kirchhoff's integral over the plate"
     return [
         Case("tolerance", "1e-6", "-", lambda: _asked(1e-6), "error", "tolerance"),
         Case("tolerance", "0.002", wall, lambda: _asked(0.002), slow=True),
         Case("tolerance", "2", wall, lambda: _asked(2.0)),
         Case("tolerance", "10", wall, lambda: _asked(10.0)),
+        # Half of it is the error of echoes, from 0.001 to 1 of themselves.
+        Case(
+            "tolerance", "0.001, by radar", "-", lambda: plate(0.001), "error", "cannot be promised"
+        ),
+        Case("tolerance", "0.002, by radar", echo, lambda: plate(0.002)),
+        Case("tolerance", "10, by radar", echo, lambda: plate(10.0)),
     ]

@@ -10,9 +10,9 @@ import numpy as np
 
 from tests.extremes import oracle
 from tests.extremes.case import Case, Found
-from tests.extremes.worlds import Triangles, asked, square, validated
+from tests.extremes.worlds import Triangles, asked, mosaic, square, validated
 from tests.extremes.worlds import scene as scene_of
-from twin.fidelity import Fidelity
+from twin.fidelity import Fidelity, Tolerance
 from twin.radar import load_radar, radar_capture
 from twin.radar.acquisition import channel as received
 from twin.radar.device.design import RadarDesign
@@ -131,14 +131,17 @@ def _doubled(shape: Triangles, *, flipped: bool) -> Triangles:
     return corners, np.vstack([faces, again])
 
 
-def _wall(half_m: float, turned: bool = True, how: str = "") -> Found:
+def _wall(half_m: float, turned: bool = True, how: str = "", parts: int = 1) -> Found:
     """Echo of a concrete wall 25 m ahead, of triangles that are there twice, with their other side
-    out too, or in a second object (``how``): image method, Fresnel's coefficient (ITU-R P.2040-3).
+    out, both sides, or in a second object (``how``), and of ``parts`` x ``parts`` squares: image
+    method, Fresnel's coefficient (ITU-R P.2040-3).
 
     Amplitude relative, or the delay's error in periods of the carrier where that is larger.
     """
     design = radar()
     shape = square((25.0, -0.11 * half_m, 0.3 * half_m), half_m)
+    shape = mosaic(shape, parts) if parts > 1 else shape
+    shape = (shape[0], shape[1][:, ::-1]) if how == "other side" else shape
     shapes = [_doubled(shape, flipped=how == "flipped") if how in ("twice", "flipped") else shape]
     shapes += [shape] if how == "coplanar" else []
     with scene_of(*shapes, turned=turned, radio="concrete") as found:
@@ -155,6 +158,25 @@ def _wall(half_m: float, turned: bool = True, how: str = "") -> Found:
     late = max((abs(p.delay_s - 50 / oracle.C) * carrier for p in paths), default=0)
     error = oracle.relative(abs(sum(p.amplitude for p in paths)), exact)
     return Found(max(error, float(late)), _LEVEL, warnings=taken.warnings)
+
+
+def plate(share: float) -> Found:
+    """Echo of a metal plate of 10 cm, square to the radar 25 m ahead, to a share of the noise:
+    Kirchhoff's integral with Fresnel's phases, of the way out and home. Stated is what the radar
+    states of the body.
+    """
+    design, half, distance = radar(), mp.mpf("0.05"), mp.mpf(25)
+    with scene_of(square((25.0, 0, 0), float(half)), turned=True, radio="metal") as found:
+        there = replace(found, rig=replace(found.rig, radar=Pose((0.0, 0.0, 0.0))))
+        taken = radar_capture(there, design, fidelity=Tolerance(share))
+    (body,) = taken.propagation.bodies
+    wavelength = oracle.C / mp.mpf(design.ofdm.carrier_hz)
+    gain = 10 ** (mp.mpf(design.antenna.gain_dbi.value) / 10)
+    loss = 10 ** (mp.mpf(design.front_end.losses_db.value) / 20)
+    side = mp.quad(lambda x: mp.expjpi(-2 * x**2 / wavelength / distance), [-half, half])
+    exact = gain * abs(side) ** 2 / (4 * mp.pi * distance**2) / loss
+    error = oracle.relative(body.amplitude, exact)
+    return Found(error, body.estimated_error, warnings=taken.warnings)
 
 
 def _material(hz: float) -> Found:
@@ -234,11 +256,14 @@ def cases() -> list[Case]:
                 ("100 km at 25 m", 5e4, "within", ""),
             )
         ],
+        Case("radar's triangles", "10 008 338", "mpmath: image method, Fresnel",
+             lambda: _wall(10.0, parts=2237), slow=True),
         *[
             Case("faces", f"a wall's, {text}, by radar", "mpmath: image method, Fresnel",
                  lambda how=how: _wall(10.0, how=how))
             for text, how in (
-                ("twice", "twice"), ("both sides out", "flipped"), ("in two objects", "coplanar")
+                ("twice", "twice"), ("other side out", "other side"),
+                ("both sides out", "flipped"), ("in two objects", "coplanar"),
             )
         ],
         *velocities,
