@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks import rcs
 from benchmarks.cross_section_references import image_integral, mie_coefficients, mie_cross_section
+from benchmarks.timing import Timing
 from tests.physics.rcs_targets import (
     CARRIER,
     WAVELENGTH,
@@ -286,3 +288,16 @@ def test_edges_that_are_left_out_are_warned_of_where_they_count() -> None:
     assert not any("left out" in text for text in with_edges.warnings)
     ball = as_target(trimesh.creation.icosphere(5, radius=0.02))
     assert not sweep(ball, CARRIER, [40.0]).warnings
+
+
+def test_the_benchmark_has_the_former_time_beside_todays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each time of one aspect that the table has of the commit before, and no other."""
+    for name in ("_dielectrics", "_tolerance", "_plates"):
+        monkeypatch.setattr(rcs, name, lambda: ())
+    monkeypatch.setattr(rcs, "_echo", lambda target, radar: 0.0)
+    monkeypatch.setattr(rcs, "image_integral", lambda *_: 1.0)
+    monkeypatch.setattr(rcs, "timed", lambda *_: Timing(1.0, 1.0, 1.0, 1))
+    notes = {name: value.note for name, value, _ in rcs.figures() if isinstance(value, Timing)}
+    assert {name for name, note in notes.items() if note} == set(rcs.AT_EE37B06)
+    assert {name for name in notes if name.endswith("one aspect")} == set(rcs.AT_EE37B06)
+    assert notes["sphere: one aspect"].startswith("at ee37b06: 1140 ms to .072 dB")
