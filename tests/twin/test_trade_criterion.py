@@ -21,7 +21,7 @@ from twin.fidelity import DEFAULT_SHARE, Fidelity, Tolerance
 from twin.trade import Cost, LevelMeasurement, cheapest, choose_fidelity, pareto
 from twin.trade.camera import CellSignals, _over_cells
 from twin.trade.criterion import criteria_of
-from twin.trade.measurement import BodyError
+from twin.trade.measurement import BY_SOLVER, BodyError
 from twin.trade.radar import measure_radar
 
 SMALL = "[emitter]\nrows = 8\ncolumns = 8\n[acquisition]\nn_patterns = 64\n"
@@ -121,6 +121,22 @@ def test_echoes_of_plates_are_judged_by_the_level_asked_for(
         for body in m.bodies:
             assert m.fidelity is not None
             assert body.synthesis == pytest.approx(m.fidelity.nufft_tolerance, rel=0.02)
+
+
+def test_echoes_closer_than_those_they_are_compared_with_are_told() -> None:
+    """The solver at 0.01, of bodies that are not sampled by brute force."""
+    fine = level(1, 0.001, 0.001)
+    by_solver = replace(fine.bodies[0], reference=f"{BY_SOLVER} at tolerance 0.01")
+    chosen = replace(fine, bodies=(by_solver, replace(fine.bodies[1], reference="brute force")))
+    close = criteria_of(Tolerance(echo_db=0.05), 1e9)["radar"]  # 0.0057
+    (told,) = pareto._of_reference(chosen, close)
+    assert "body 0: compared with echoes to 0.01 of themselves, more than the 0.0057" in told
+    assert "body 1" not in told
+    for criterion in (
+        criteria_of(Tolerance(echo_db=0.5), 1e9)["radar"],
+        criteria_of(1e-9)["radar"],
+    ):
+        assert not pareto._of_reference(chosen, criterion)
 
 
 def level_off_db(measurement: LevelMeasurement) -> float:

@@ -51,7 +51,7 @@ def criteria_of(
 
     Raises InputError for scores of an image, and as `Tolerance.knobs` does.
 
-    >>> criteria_of(Tolerance(echo_db=0.5))["radar"].limit.__round__(4)
+    >>> round(criteria_of(Tolerance(echo_db=0.5))["radar"].limit, 4)
     0.0559
     >>> criteria_of(0.1)["light"].limit
     0.1

@@ -121,7 +121,7 @@ def _folder(
         scene.name,
         system.name,
         *unless(radar.name if radar else None, "hybrid-79", "{}", "no-radar"),
-        *unless(asked, f"{DEFAULT_SHARE:g}", "tolerance_{}"),
+        *unless(tolerance, DEFAULT_SHARE, f"tolerance_{asked}"),
         *unless(within_s, None, "within_{:g}_s"),
         *unless(seed, 0, "seed_{}"),
     )
