@@ -57,7 +57,7 @@ def figures() -> Iterator[Figure]:
         yield from _of(name, load_scene(_bundled(name)))
         yield from _levels(name, name)
     yield from _levels("munich with a car", "munich-car")
-    yield from _of("10 000 boxes", _boxes(10_000))
+    yield from _of("10 000 boxes", many_boxes(10_000))
     yield from _levels("10 000 boxes", "boxes")
     yield from _levels("200 posts", "posts")
     for side in _TERRAIN:
@@ -120,7 +120,7 @@ def _thing(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -
     return SceneObject(name, Geometry(vertices, faces), "concrete", 0.5)
 
 
-def _boxes(count: int) -> Scene:
+def many_boxes(count: int) -> Scene:
     """Concrete boxes of a few metres, turned at random, on the ground over 1.2 km by 1.2 km; the
     radar looks down at them from 15 m.
     """
@@ -227,7 +227,7 @@ def _measured(name: str, level: str = "default") -> Iterator[Figure]:
 
 def _made(name: str) -> Scene:
     if name == "boxes":
-        return _boxes(10_000)
+        return many_boxes(10_000)
     if name == "posts":  # 200, many in the shadow of others
         wavelength_m = load_radar("hybrid-79").ofdm.wavelength_m
         return hundreds_of_posts(np.random.default_rng(5), wavelength_m)

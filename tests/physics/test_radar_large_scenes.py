@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.large_scenes import many_boxes
 from tests.physics.large_worlds import counted, staged, street, town
 from tests.physics.radar_worlds import (
     OPTICS,
@@ -337,3 +338,19 @@ def test_cities_are_set_up_in_work_that_their_objects_bound(name: str, monkeypat
     staged(again)
     assert len(measured) == count
     assert trace(again, RADAR, fidelity=OPTICS).roles
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["munich", "etoile", "florence", "san_francisco", "boxes"])
+def test_large_scenes_are_traced_by_default(name: str) -> None:
+    """As a user traces them, to the end: cities, and ten thousand boxes. Of walls and ground
+    there are images; where bodies are too large for waves round obstacles, no error is stated.
+    """
+    scene = many_boxes(10_000) if name == "boxes" else load_scene(sionna_scene(name))
+    found = trace(scene, RADAR)
+    assert len(found.contributions) > 10_000
+    assert found.contributions.source.max() > 0
+    told = np.array([(b.level_db, b.level_amplitude, b.estimated_error) for b in found.bodies])
+    assert len(told) > 3
+    assert np.isfinite(told[:, 1]).all()
+    assert (told[:, 2] > 0).all()

@@ -299,9 +299,9 @@ def test_numbers_of_a_system_are_arrays_too(study, tmp_path: Path) -> None:
         '"system.sky.illuminance_lx" = { low = 0.0, high = 1e5 }\n',
         CLOSED,
     )
-    plan, start = load_study(path), time.perf_counter()
+    plan, start = load_study(path), time.process_time()
     run_sweep(path, out=tmp_path / "out")
-    assert time.perf_counter() - start < 30  # 2 s on an idle machine
+    assert time.process_time() - start < 30  # 2 s on an idle machine
     found = open_sweep(tmp_path / "out")["snr"].to_numpy()
     inputs = inputs_of(plan)
     for index in (0, 1234, 262143):

@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.corner_bends import CornerBends
 from twin.radar.propagation.diffraction.double_bends import DoubleBends
-from twin.radar.propagation.diffraction.knife_edge import as_one, knife_edge_factor
+from twin.radar.propagation.diffraction.knife_edge import (
+    as_one,
+    knife_edge_factor,
+    on_one_side,
+)
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
 from twin.radar.rows import dots, lengths
 
@@ -131,7 +135,7 @@ class Bends:
         longer[bent] = self._over(path[bent], places[bent], straight[bent])
         one = np.flatnonzero(self._is_single[path])
         number, q = path[one], k * longer[one]
-        is_lit = dots(self.lit[number], places[one] - self.source[number]) > 0
+        is_lit = self._is_lit(number, places[one])
         is_steady = is_lit == self._known_lit[number]
         waves = np.array([np.where(is_steady, 1, -1) * knife_edge_factor(q), ~is_steady])
         wave, phase = as_one(waves, np.array([q, np.zeros(len(q))]))
@@ -207,7 +211,13 @@ class Bends:
 
     @cached_property
     def _known_lit(self) -> Flags:
-        return np.asarray(dots(self.lit, self.known - self.source) > 0)
+        return self._is_lit(np.arange(len(self.known)), self.known)
+
+    def _is_lit(self, path: Indices, places: Array) -> Flags:
+        """Whether the last edges leave the straight paths to places free."""
+        source, stop, along = (x[path] for x in (self.source, self.stop, self.along))
+        is_beside = dots(self.lit[path], places - source) > 0
+        return np.asarray(is_beside | on_one_side(source - stop, places - stop, along))
 
     def _over(self, path: Indices, places: Array, straight: Array) -> Array:
         """By how much the shortest paths over the edges' lines are longer than straight ones."""

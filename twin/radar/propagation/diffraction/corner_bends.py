@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.knife_edge import missing_edge_factor
+from twin.radar.propagation.diffraction.knife_edge import missing_edge_factor, on_one_side
 from twin.radar.propagation.diffraction.two_edge_bends import FieldBehind, TwoEdgeBends
 from twin.radar.rows import dots, lengths
 
@@ -44,6 +44,7 @@ class CornerBends(TwoEdgeBends):
         straight, onwards = lengths(direct), direct - stop
         longer = k * (lengths(stop) + lengths(onwards) - straight)
         q, alone = np.empty((len(path), 2)), np.empty((len(path), 2), dtype=bool)
+        is_lit = np.einsum("nej,nj->ne", self.lit[path], direct) > 0
         for edge in (0, 1):
             along = self.edges[path, edge]
             at = [dots(end, along) for end in (-stop, onwards)]
@@ -51,9 +52,9 @@ class CornerBends(TwoEdgeBends):
                 lengths(end - x[:, None] * along)
                 for end, x in zip((-stop, onwards), at, strict=True)
             ]
+            is_lit[:, edge] |= on_one_side(-stop, onwards, along)
             alone[:, edge] = at[0] * off[1] + at[1] * off[0] > 0
             q[:, edge] = k * (np.hypot(off[0] + off[1], at[1] - at[0]) - straight)
-        is_lit = np.einsum("nej,nj->ne", self.lit[path], direct) > 0
         q = np.clip(q, 1e-12, np.maximum(longer, 1e-12)[:, None])
         missing = missing_edge_factor(q.ravel(), (longer[:, None] - q).clip(0).ravel())
         corner = np.sum(np.where(is_lit == alone, 1, -1) * missing.reshape(q.shape), axis=1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.knife_edge import double_knife_edge
+from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, on_one_side
 from twin.radar.propagation.diffraction.two_edge_bends import FieldBehind, TwoEdgeBends
 from twin.radar.rows import dots, lengths
 
@@ -39,7 +39,8 @@ class DoubleBends(TwoEdgeBends):
                 off[end, edge] = lengths(away - dots(away, along)[:, None] * along)
             across = np.cross(along, stop)
             across *= np.sign(dots(across, self.aside[path, edge]))[:, None]
-            is_lit[:, edge] = dots(across, direct) > 0
+            is_beside = dots(across, direct) > 0
+            is_lit[:, edge] = is_beside | on_one_side(-stop, direct - stop, along)
         gap = self.stops[path, 1] - self.stops[path, 0]
         gap_m = lengths(gap - dots(gap, along)[:, None] * along)
         once = np.hypot(off[0] + off[1], forward).T

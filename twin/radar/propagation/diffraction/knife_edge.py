@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import wofz
 
 from hardware.compiled import kernel
-from twin.radar.rows import phasors
+from twin.radar.rows import dots, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -33,6 +33,13 @@ def knife_edge_factor(q: Array) -> Complex:
     """
     value: Complex = 0.5 * wofz(np.exp(0.75j * np.pi) * np.sqrt(q))
     return value
+
+
+def on_one_side(one: Array, other: Array, along: Array) -> NDArray[np.bool_]:
+    """Whether two ways (n, 3) from places on edges, to a source and to a place, lead to one side of
+    the edges, whose unit vectors are ``along`` (n, 3): the border of a shadow is on the other side.
+    """
+    return np.asarray(dots(one, other) > dots(one, along) * dots(other, along))
 
 
 def as_one(waves: Complex, q: Array) -> tuple[Complex, Array]:

@@ -12,6 +12,7 @@ from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import (
     knife_edge_factor,
     missing_edge_factor,
+    on_one_side,
 )
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.rows import alike, dots, lengths
@@ -160,8 +161,14 @@ class _Pairs:
 
     @cached_property
     def lit_m(self) -> Array:
-        """The point's distance (n,) from the shadow's border, positive in the light."""
-        return dots(self.rim.lit[self.edge], self.direct)
+        """The point's distance (n,) from the shadow's border, positive in the light; of one on the
+        same side of the edge as the source, where there is no border, from the edge.
+        """
+        begin, along = self.rim.ends[self.edge, 0], _along(self.rim)[0][self.edge]
+        onwards = self.direct - begin
+        off_m = lengths(onwards - dots(onwards, along)[:, None] * along)
+        border_m = dots(self.rim.lit[self.edge], self.direct)
+        return np.where(on_one_side(-begin, onwards, along), off_m, border_m)
 
     def depth(self, place: Array) -> Array:
         """How far along the direct path places are, 0 to 1."""
