@@ -151,6 +151,25 @@ def test_waves_over_a_mirrors_border_are_kirchhoffs(
     assert stated(found) < 0.1 * abs(whole[0])
 
 
+def test_waves_over_a_border_do_not_end_where_the_straight_way_does(
+    whole: tuple[complex, complex],
+) -> None:
+    """A screen 1 m before the wall hides the image from a ball past the border, and lets the waves
+    over that border by: they had been left out with it, and nothing was stated.
+    """
+    end_m = FOOT_M - 0.2
+    corners = [[4, 1.06, -3], [4, 1.27, -3], [4, 1.27, 3], [4, 1.06, 3]]
+    screen = quad("screen", corners, radar="obstacle")
+    wall = tall("wall", (5.0, -8.0), (5.0, end_m))
+    found = trace(world(wall, screen, ball("ball", PLACE, 0.1, 5)), RADAR)
+    small, by_wall = facets(ball("ball", PLACE, 0.1, 6)), HalfPlane((5.0, end_m), (0.0, -1.0))
+    truth = by_both(small, Direct(), by_wall) + by_both(small, by_wall, Direct())
+    truth *= -whole[0] / whole[1]  # metal: of one reflection the sign changes
+    error = abs(over_walls(found, 1) - truth)
+    assert error < stated(found)
+    assert error < 0.3 * abs(truth)
+
+
 @pytest.mark.parametrize("turn_deg", [-10, -3, 3, 10])
 @pytest.mark.parametrize("fold_m", [-0.1, 0.0, 0.05])
 def test_where_a_wall_is_folded_both_parts_end(

@@ -182,7 +182,7 @@ class _Seen(NamedTuple):
             return _Seen(True, 0.0, 0.0)
         level = float(np.mean(view.reflected(facets.middle)))
         off = offset_m(facets.middle) * facets.normal(view.place)
-        past = view.goes_past_mirror(facets.middle[~is_lit], off[~is_lit])
+        past = view.goes_past_mirror(facets.middle[~is_lit], off[~is_lit], body)
         if np.mean(is_lit) >= 1 - _MOST_HIDDEN and not past:
             return _Seen(True, 1.0, level)
         step = max(1, len(facets) // _PLACES)

@@ -177,7 +177,7 @@ def shown_facets(views: TwoViews, facets: Facets, body: int) -> tuple[Facets, ND
     """
     obstacles = views.one.obstacles
     off = offset_m(facets.middle) * facets.normal(views.one.place)
-    met = np.array([view.first_met(facets.middle, off) for view in views.each])
+    met = np.array([view.first_met(facets.middle, off, body) for view in views.each])
     is_hidden = (met == NO_WAY) | ((met >= 0) & (obstacles.body[np.maximum(met, 0)] == body))
     is_shown = ~is_hidden.any(axis=0)
     facets = facets.take(is_shown)

@@ -76,10 +76,10 @@ class View:
             return np.ones(len(places))
         return self.straight(places, np.zeros_like(places)).level
 
-    def first_met(self, places: Array, off: Array) -> Indices:
-        """Number of the object that ways home from points (n, 3) first meet, `NOTHING`,
-        `PAST_MIRROR` where they go past the border of their only mirror, whose waves are followed,
-        or `NO_WAY` where a mirror is not on the way.
+    def first_met(self, places: Array, off: Array, body: int) -> Indices:
+        """Number of the object that ways home from points (n, 3) of a body first meet, `NOTHING`,
+        `PAST_MIRROR` where they go past the border of their only mirror, whose waves are followed
+        and may be free where the straight way is not, or `NO_WAY` where a mirror is not on the way.
         """
         prepared = self.obstacles.prepared
         met = blocker(prepared, straight_home(prepared, self.image, places), off)
@@ -88,19 +88,21 @@ class View:
         is_met = self.straight(places, off).clear
         found = np.where(is_met, met, NO_WAY)
         if self.obstacles.border(self.image) is not None:
-            others = askew(prepared.flats, self.image.patches[0])
-            free = np.flatnonzero(~is_met & ((met == NOTHING) | np.isin(met, others)))
+            flats, number = prepared.flats, self.image.patches[0]
+            is_other = ~np.isin(met, flats.object) | np.isin(met, askew(flats, number))
+            is_other &= (met >= 0) & (self.obstacles.body[np.maximum(met, 0)] != body)
+            free = np.flatnonzero(~is_met & ((met == NOTHING) | is_other))
             past = free[is_past(prepared, self.image, places[free])]
             found[past] = PAST_MIRROR
         return found
 
-    def goes_past_mirror(self, places: Array, off: Array) -> bool:
-        """Whether the way home from any of some points (n, 3) goes past the border of the only
-        mirror.
+    def goes_past_mirror(self, places: Array, off: Array, body: int) -> bool:
+        """Whether the way home from any of some points (n, 3) of a body goes past the border of the
+        only mirror.
         """
         if self.obstacles.border(self.image) is None or not len(places):
             return False
-        return bool((self.first_met(places, off) == PAST_MIRROR).any())
+        return bool((self.first_met(places, off, body) == PAST_MIRROR).any())
 
     def others(self, body: int) -> Indices:
         """Numbers of the objects that may be obstacles of ways to a body: no mirror of these ways
