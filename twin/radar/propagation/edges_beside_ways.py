@@ -145,12 +145,16 @@ def _hidden_ways(
 ) -> dict[MirroredWay, float]:
     """Ways to a body that others hide from one image at least, and what waves over edges may add on
     each to direct ones, were the body as strong by either way. Fainter waves than those that are
-    followed everywhere count where no image lights it.
+    followed everywhere count where no image lights it, and past a border that has no others.
     """
     followed = followed_by(obstacles, fidelity)
     seen = {i: _Seen.of(View(followed, i), body) for i in images}
-    if not any(one.is_lit for one in seen.values()):
-        seen = {i: _Seen.of(View(obstacles, i), body) for i in images}
+    is_dark = not any(one.is_lit for one in seen.values())
+    seen |= {
+        i: _Seen.of(View(obstacles, i), body)
+        for i, one in seen.items()
+        if is_dark or (one.is_past and not one.field)
+    }
     direct = max(seen[0].field, obstacles.faintest) if 0 in seen else 1.0
     ways = {}
     for i, j in ((i, j) for i in images for j in images if 0 < j >= i):

@@ -18,7 +18,7 @@ from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.triangle_means import mean_waves
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.rows import alike, lengths, phasors
+from twin.radar.rows import alike, dots, lengths, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -29,6 +29,7 @@ _BIN_M = 0.01  # between lengths of contributions: 0.4 rad at the ends of a band
 #: Change of the wavenumber in rad/m to the outer two of that band's three Chebyshev nodes.
 _STEP = 36.0
 _AT_ONCE = 2**16  # facets and pairs of paths: 50 MB
+_MOST_ASKEW = 5.0  # times as much of a facet's current: one along the straight wave has none
 _ALIKE_M = 1e-8  # corners of facets that are one
 
 
@@ -148,7 +149,10 @@ def _of_ways(
         legs.first[ends][way] + corners.of_facet[:, facet] for ends in number.reshape(both.shape)
     )
     means, longer_m = mean_waves(legs.waves, p, q, obstacles.wavenumber, _STEP)
-    less, mean, more = current[facet] * ways.share[rows][way] * means
+    towards = _towards(ways, both)
+    normal = facets.across[facet]
+    askew = dots(normal, towards[0][way]) / dots(normal, towards[1][way])
+    less, mean, more = current[facet] * ways.share[rows][way] * askew.clip(0, _MOST_ASKEW) * means
     total, pair, bins = _binned(
         less,
         mean,
@@ -159,6 +163,17 @@ def _of_ways(
     )
     found = _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
     return found, sums(way, mean, len(rows)) * _spread(obstacles, ways, both)
+
+
+def _towards(ways: Ways, ends: Indices) -> Array:
+    """Sums of the unit vectors from places towards both paths of pairs (2, n), and of those towards
+    the straight ones, (2, n, 3): the currents of a facet, which are of the straight waves, grow
+    with the cosines to these.
+    """
+    straight = ways.bends.source - ways.bends.known
+    straight /= lengths(straight)[:, None]
+    both: Array = np.stack([x[ends].sum(axis=0) for x in (ways.paths.back, straight)])
+    return both
 
 
 def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:
