@@ -31,15 +31,15 @@ _FEW = 4
 _ENGINES = ("numpy", "scipy", "mitsuba", "drjit", "sionna-rt", "finufft")
 
 
-def digest(*content: Any) -> str:
+def digest(*content: Any, exact: bool = False) -> str:
     """SHA-256 of what dataclasses, settings and arrays say; the same on every machine.
 
-    Arrays count to 1e-9 of their unit, so that rounding does not show. Files of spectra and of
-    antenna patterns count by what is in them, other paths not at all. Raises OSError for a file
-    that can't be read.
+    Arrays count to 1e-9 of their unit, so that rounding does not show, and words about values do
+    not; ``exact``: every bit of arrays, and words too. Files of spectra and of antenna patterns
+    count by what is in them, other paths not at all. Raises OSError for a file that can't be read.
     """
     found = hashlib.sha256()
-    for piece in _pieces(content):
+    for piece in _pieces(content, exact):
         found.update(piece)
     return found.hexdigest()
 
@@ -81,25 +81,26 @@ def source_digest(*folders: Path, without: tuple[Path, ...] = ()) -> str:
     return found.hexdigest()
 
 
-def _pieces(value: Any) -> Iterator[bytes]:
+def _pieces(value: Any, exact: bool = False) -> Iterator[bytes]:
     """A value as bytes, each kind led by its name and size so that no two values share theirs."""
-    if isinstance(value, np.ndarray):
-        exact = np.round(np.asarray(value, np.float64), 9) + 0.0  # + 0: no negative zero
-        yield f"array{value.shape}".encode() + exact.tobytes()
+    if isinstance(value, np.ndarray) and exact:
+        yield f"array{value.shape}{value.dtype.str}".encode() + value.tobytes()
+    elif isinstance(value, np.ndarray):
+        rounded = np.round(np.asarray(value, np.float64), 9) + 0.0  # + 0: no negative zero
+        yield f"array{value.shape}".encode() + rounded.tobytes()
     elif hasattr(type(value), "as_matrix"):  # SciPy's rotations and rigid transforms
-        yield from _pieces(value.as_matrix())
+        yield from _pieces(value.as_matrix(), exact)
     elif isinstance(value, Path):
         yield b"path"
     elif (content := _fields(value)) is not None:
-        yield from _named(
-            "mapping" if isinstance(value, Mapping) else type(value).__name__, content
-        )
+        kind = "mapping" if isinstance(value, Mapping) else type(value).__name__
+        yield from _named(kind, content, exact)
     elif callable(value):
         yield digest_of_given(value).encode()
     elif isinstance(value, Sequence) and not isinstance(value, str):
         yield f"sequence{len(value)}".encode()
         for item in value:
-            yield from _pieces(item)
+            yield from _pieces(item, exact)
     else:
         yield f"{type(value).__name__} {value!r};".encode()
 
@@ -132,13 +133,17 @@ def _fields(value: Any) -> dict[str, Any] | None:
     return None
 
 
-def _counting(content: dict[str, Any]) -> dict[str, Any]:
+def _counting(content: dict[str, Any], words: bool = False) -> dict[str, Any]:
     # What is not there does not count: a new optional part leaves what was made before valid.
-    return {n: content[n] for n in sorted(content) if n not in _WORDS and content[n] is not None}
+    return {
+        name: content[name]
+        for name in sorted(content)
+        if (words or name not in _WORDS) and content[name] is not None
+    }
 
 
-def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
-    told = _counting(content)
+def _named(kind: str, content: dict[str, Any], exact: bool) -> Iterator[bytes]:
+    told = _counting(content, words=exact)
     yield f"{kind}{len(told)}".encode()
     for name, value in told.items():
         yield f"{name}=".encode()
@@ -153,4 +158,4 @@ def _named(kind: str, content: dict[str, Any]) -> Iterator[bytes]:
         elif name == "function" and hasattr(value, "value"):
             yield digest_of_given(value.value).encode()
         else:
-            yield from _pieces(value)
+            yield from _pieces(value, exact)

@@ -9,15 +9,18 @@ import fcntl
 import hashlib
 import os
 import pickle
+import stat
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import platformdirs
 
-from hardware.files import whole_file
+from hardware.files import place_beside
 from twin.digest import digest, source_digest, versions
+from twin.progress import tell
 
 T = TypeVar("T")
 
@@ -33,8 +36,8 @@ _OTHERS = (_TWIN / "regression", _TWIN / "commands", _TWIN / "report")
 class KeptResults:
     """A folder of results by key: the latest ones, 2 GB of them at most.
 
-    Processes that want the same one wait for whoever makes it. Where the folder can't be written
-    to, or belongs to somebody else, nothing is kept.
+    Processes that want the same one wait for whoever makes it, which `twin.progress.listeners` are
+    told of. Where the folder can't be written to, or is open to others, nothing is kept.
 
     Attributes
     ----------
@@ -57,11 +60,13 @@ class KeptResults:
     def get(self, kind: str, content: Sequence[Any], make: Callable[[], T]) -> T:
         """A result of some kind, made when there is none.
 
-        ``content`` is all that it is made of, see `digest`. The versions of what computes it count
-        too, and the project's own source, a change of which makes it anew.
+        ``content`` is all that it is made of, see `digest`, to the last bit and word. The versions
+        of what computes it count too, and the project's own source, a change of which makes it
+        anew.
         """
         variant = os.environ.get("TWIN_VARIANT", "")
-        name = digest(content, versions(), source_digest(*_SOURCE, without=_OTHERS), variant)
+        source = source_digest(*_SOURCE, without=_OTHERS)
+        name = digest(content, versions(), source, variant, exact=True)
         path = self._folder / f"{kind}-{name}.pickle"
         with self._locked(path) as is_usable:
             if not is_usable:
@@ -71,7 +76,8 @@ class KeptResults:
                 self.found.append(kind)
                 return kept[0]
             made = make()
-            with suppress(OSError):  # a full disk: it is made anew the next time
+            # A full disk, or what can't be pickled: it is made anew the next time.
+            with suppress(OSError, pickle.PicklingError, AttributeError, TypeError):
                 self._write(path, made)
             return made
 
@@ -80,8 +86,8 @@ class KeptResults:
         """With a lock of this name, freed even by kill -9; whether there can be one."""
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            # What is read is run: a pickle of somebody else's is not.
-            is_own = self._folder.stat().st_uid == os.getuid()
+            folder = self._folder.stat()
+            is_own = folder.st_uid == os.getuid() and not folder.st_mode & stat.S_IWOTH
             lock = path.with_suffix(".lock").open("w") if is_own else None
         except OSError:
             lock = None
@@ -90,18 +96,23 @@ class KeptResults:
             return
         with lock:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+                _wait_for(lock)
             except OSError:  # of a file system without locks
                 yield False
                 return
             yield True
 
     def _read(self, path: Path) -> tuple[Any] | None:
-        """What is kept there, if it is whole."""
+        """What is kept there, if it is whole, and this user's: what is read is run."""
         with suppress(OSError):
-            content = memoryview(path.read_bytes())
-            checksum, pickled = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
-            if hashlib.sha256(pickled).digest() == checksum:
+            # Neither a link nor a pipe, which would be waited for.
+            opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            with os.fdopen(opened, "rb") as file:
+                own = os.fstat(file.fileno())
+                if own.st_uid != os.getuid() or not stat.S_ISREG(own.st_mode):
+                    return None
+                checksum, pickled = file.read(_CHECKSUM_BYTES), file.read()
+            if _checksum(path, pickled) == checksum:
                 os.utime(path)  # the oldest go first
                 return (pickle.loads(pickled),)
         return None
@@ -110,9 +121,9 @@ class KeptResults:
         pickled = pickle.dumps(made, protocol=pickle.HIGHEST_PROTOCOL)
         if len(pickled) > _MOST_BYTES:
             return
-        with whole_file(path) as partial, partial.open("wb") as file:
-            file.write(hashlib.sha256(pickled).digest())
-            file.write(pickled)
+        with place_beside(path) as partial:
+            partial.write_bytes(_checksum(path, pickled) + pickled)
+            os.replace(partial, path)  # whatever is there, a pipe too, which would be waited for
         self._forget_oldest()
 
     def _forget_oldest(self) -> None:
@@ -124,9 +135,28 @@ class KeptResults:
                 path.with_suffix(".lock").unlink(missing_ok=True)
 
 
+def _wait_for(lock: IO[str]) -> None:
+    """Take a lock, and tell of the time that another process held it."""
+    began_s = time.perf_counter()
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        tell("waiting for another run", time.perf_counter() - began_s)
+
+
+def _checksum(path: Path, pickled: bytes) -> bytes:
+    """Of a result under its own name."""
+    found = hashlib.sha256(path.name.encode())
+    found.update(pickled)
+    return found.digest()
+
+
 def _age(path: Path) -> float:
+    """When it was used; one of the future, by a clock since set back, counts as old."""
     with suppress(OSError):
-        return path.stat().st_mtime
+        used_s = path.stat().st_mtime
+        return used_s if used_s <= time.time() + 1.0 else 0.0
     return 0.0
 
 

@@ -21,7 +21,8 @@ from twin.camera.acquisition import capture
 from twin.fidelity import PRESETS, Fidelity
 from twin.kept_results import KeptResults
 from twin.radar import radar_capture
-from twin.scene import Pose, Scene, Sun, load_scene
+from twin.scene import Pose, Scene, Sun, Track, load_scene
+from twin.scene.materials import Surface
 from twin.system import load_system
 
 DRAFT = PRESETS["draft"]
@@ -74,6 +75,79 @@ def test_the_oldest_go_first(tmp_path: Path, monkeypatch) -> None:
     assert len(store.found) - found == 2
 
 
+def test_ages_of_the_future_are_no_younger(tmp_path: Path, monkeypatch) -> None:
+    """A clock was set back: new results were the first to go."""
+    monkeypatch.setattr("twin.kept_results._MOST_BYTES", 2500)
+    store = KeptResults(tmp_path)
+    for number in range(2):
+        store.get("bytes", (number,), lambda: b"." * 1000)
+    for file in tmp_path.glob("*.pickle"):
+        os.utime(file, (4e9, 4e9))
+    store.get("bytes", (2,), lambda: b"." * 1000)
+    store.get("bytes", (2,), lambda: b"")
+    assert store.found == ["bytes"]
+
+
+def test_a_result_under_another_name_is_none(tmp_path: Path) -> None:
+    store = KeptResults(tmp_path)
+    store.get("one", (), lambda: "one")
+    (one,) = tmp_path.glob("one-*.pickle")
+    store.get("other", (), lambda: "other")
+    (other,) = tmp_path.glob("other-*.pickle")
+    one.replace(other)
+    assert store.get("other", (), lambda: "made anew") == "made anew"
+
+
+def test_what_others_may_write_is_not_read(tmp_path: Path, monkeypatch) -> None:
+    """A pickle that is read is run."""
+    store = KeptResults(tmp_path / "kept")
+    store.get("number", (), lambda: 1)
+    (file,) = (tmp_path / "kept").glob("*.pickle")
+    (tmp_path / "kept").chmod(0o777)
+    assert store.get("number", (), lambda: 2) == 2
+    (tmp_path / "kept").chmod(0o700)
+    own = os.fstat
+    foreign = lambda number: os.stat_result((*own(number)[:4], 12345, *own(number)[5:]))  # noqa: E731
+    monkeypatch.setattr(os, "fstat", foreign)
+    assert store.get("number", (), lambda: 3) == 3
+    monkeypatch.undo()
+    whole = file.read_bytes()
+    file.unlink()
+    (tmp_path / "elsewhere").write_bytes(whole)
+    file.symlink_to(tmp_path / "elsewhere")
+    assert store.get("number", (), lambda: 4) == 4
+    file.unlink()
+    os.mkfifo(file)
+    assert store.get("number", (), lambda: 5) == 5
+
+
+def test_what_cannot_be_pickled_is_made_and_not_kept(tmp_path: Path) -> None:
+    store = KeptResults(tmp_path)
+    made = store.get("function", (), lambda: lambda: 7)
+    assert made() == 7
+    assert not list(tmp_path.glob("*.pickle"))
+
+
+def test_all_counts_to_the_last_bit(tmp_path: Path) -> None:
+    store, numbers = KeptResults(tmp_path), np.array([1.0, 2.0])
+    for content in (numbers, numbers + 1e-15, numbers.astype(np.float32), numbers[:, None]):
+        store.get("array", (content,), lambda: 0)
+    assert store.found == []
+    store.get("array", (numbers.copy(),), lambda: 0)
+    assert store.found == ["array"]
+
+
+def test_waiting_is_told(tmp_path: Path, monkeypatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr("twin.progress.listeners", [lambda stage, _: told.append(stage)])
+    with ProcessPoolExecutor(1) as pool:
+        other = pool.submit(_count_and_make, tmp_path)
+        while not (tmp_path / "made").exists():
+            time.sleep(0.01)
+        assert _count_and_make(tmp_path) == other.result() == 7
+    assert told == ["waiting for another run"]
+
+
 def test_where_nothing_can_be_kept_all_is_made(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "file").touch()
     assert KeptResults(tmp_path / "file").get("number", (), lambda: 1) == 1
@@ -108,8 +182,13 @@ def test_light_is_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
     np.testing.assert_array_equal(first.record.counts, again.record.counts)
     np.testing.assert_array_equal(first.cells_e, again.cells_e)
     assert first.warnings == again.warnings
+    objects = tuple(replace(item, radar="obstacle") for item in scene.objects)
+    rig = replace(scene.rig, radar=Pose((0.0, 0.0, 1.0)))
+    unlike = replace(scene, objects=objects, rig=rig, targets=(), track=Track((1.0, 0.0, 0.0), 2))
+    capture(unlike, system, seed=3, fidelity=DRAFT, kept=store)  # to a radar alone
+    assert store.found == ["light"] * 2
     others = [
-        (scene.with_({"rig.x_m": 1e-6}), system, 3, DRAFT),
+        (scene.with_({"rig.x_m": 1e-12}), system, 3, DRAFT),
         (scene, system.with_({"readout.read_noise_e": 100.0}), 3, DRAFT),
         (scene, system, 4, DRAFT),
         (scene, system, 3, DRAFT.with_(samples=9)),
@@ -146,8 +225,14 @@ def test_echoes_are_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
     (item,) = scene.objects
     stone = replace(scene, objects=(replace(item, material="concrete"),))
     mounted = replace(scene, rig=replace(scene.rig, radar=Pose((0.0, 0.0, 1e-6))))
+    row = scene.materials["rubber"]
+    assert row.surface is not None
+    height = row.surface.rms_height_m.model_copy(update={"assumed": "otherwise"})
+    said = row.model_copy(update={"surface": Surface(rms_height_m=height)})
+    unlike = replace(scene, materials={**scene.materials, "rubber": said})
     others = [
-        (world(plate("plate", [10.0, 0.0, 1e-6])), RADAR, knobs),
+        (unlike, RADAR, knobs),  # what is assumed is told with the echoes
+        (world(plate("plate", [10.0, 0.0, 1e-14])), RADAR, knobs),
         (world(replace(item, radar="declared")), RADAR, knobs),
         (world(replace(item, velocity_m_per_s=(1e-6, 0.0, 0.0))), RADAR, knobs),
         (stone, RADAR, knobs),

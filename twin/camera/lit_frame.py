@@ -14,8 +14,11 @@ from twin.detector import Detector
 from twin.fidelity import Fidelity, LightFidelity
 from twin.kept_results import KeptResults
 from twin.progress import OpenStage, silently
-from twin.scene import Scene
+from twin.scene import Pose, Scene
+from twin.scene.materials import Optical
 from twin.system import System
+
+_NOWHERE = Pose((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +68,23 @@ def lit_frame(
     if kept is None or detector is not None or _has_own_parts(system):
         return LitFrame(seen, *light())
     of_light = fidelity.part(LightFidelity)
-    content = (scene, system, of_light, seed.entropy, seed.spawn_key)
+    content = (*_without_echoes(scene), system, of_light, seed.entropy, seed.spawn_key)
     return LitFrame(seen, *kept.get("light", content, light))
+
+
+def _without_echoes(scene: Scene) -> tuple[Scene, dict[str, Optical]]:
+    """The scene and its materials without what the radar alone sees: a change of that leaves light
+    as it is.
+    """
+    seen = replace(
+        scene,
+        objects=tuple(replace(item, radar=None, thickness_m=None) for item in scene.objects),
+        rig=replace(scene.rig, radar=_NOWHERE),
+        targets=(),
+        track=None,
+        materials={},
+    )
+    return seen, {name: row.optical for name, row in scene.materials.items()}
 
 
 def _has_own_parts(system: System) -> bool:

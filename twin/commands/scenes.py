@@ -135,7 +135,7 @@ def run(
     if result.kept:
         say.line(
             f"{' and '.join(result.kept)}: of an earlier run, with the same scene, sensor and "
-            "tolerance; --anew computes them again"
+            "accuracy; --anew computes them again"
         )
     _tell_verdicts(say, result)
     if result.radar:

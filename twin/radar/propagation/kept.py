@@ -34,14 +34,15 @@ def kept_interval(
 
 
 def _without_light(scene: Scene) -> tuple[Scene, dict[str, tuple[Radio, Surface | None]]]:
-    """The scene and its materials without what the camera alone sees: a change of that leaves
-    echoes as they are.
+    """The scene, at one burst, and its materials without what the camera alone sees: a change of
+    that leaves echoes as they are.
     """
     seen = replace(
         scene,
         objects=tuple(replace(item, reflectance=0.0) for item in scene.objects),
         rig=replace(scene.rig, emitter=_NOWHERE, detector=_NOWHERE),
         sun=_DARK,
+        track=None,
         materials={},
     )
     return seen, {name: (row.radio, row.surface) for name, row in scene.materials.items()}
