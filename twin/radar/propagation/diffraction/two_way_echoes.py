@@ -149,10 +149,8 @@ def _of_ways(
         legs.first[ends][way] + corners.of_facet[:, facet] for ends in number.reshape(both.shape)
     )
     means, longer_m = mean_waves(legs.waves, p, q, obstacles.wavenumber, _STEP)
-    towards = _towards(ways, both)
-    normal = facets.across[facet]
-    askew = dots(normal, towards[0][way]) / dots(normal, towards[1][way])
-    less, mean, more = current[facet] * ways.share[rows][way] * askew.clip(0, _MOST_ASKEW) * means
+    askew = _askew(ways, paths, number.reshape(both.shape)[:, way], facets.across[facet])
+    less, mean, more = current[facet] * ways.share[rows][way] * askew * means
     total, pair, bins = _binned(
         less,
         mean,
@@ -165,15 +163,19 @@ def _of_ways(
     return found, sums(way, mean, len(rows)) * _spread(obstacles, ways, both)
 
 
-def _towards(ways: Ways, ends: Indices) -> Array:
-    """Sums of the unit vectors from places towards both paths of pairs (2, n), and of those towards
-    the straight ones, (2, n, 3): the currents of a facet, which are of the straight waves, grow
-    with the cosines to these.
+def _askew(ways: Ways, paths: Indices, ends: Indices, normal: Array) -> Array:
+    """By how much more current facets (n, 3) have of the waves of two paths, rows ``ends`` (2, n)
+    of some ``paths``, than of the straight waves, whose currents they are given: currents grow with
+    the cosines of these.
     """
-    straight = ways.bends.source - ways.bends.known
+    straight = ways.bends.source[paths] - ways.bends.known[paths]
     straight /= lengths(straight)[:, None]
-    both: Array = np.stack([x[ends].sum(axis=0) for x in (ways.paths.back, straight)])
-    return both
+    own, given = (
+        dots(normal, towards[ends].sum(axis=0)) for towards in (ways.paths.back[paths], straight)
+    )
+    # Edge-on to the straight waves, a facet has no current of them, whatever the factor.
+    share = np.divide(own, given, out=np.ones_like(given), where=given != 0)
+    return np.asarray(share.clip(0, _MOST_ASKEW))
 
 
 def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:
