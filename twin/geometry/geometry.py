@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hardware.described import Described
 from hardware.read_only import cached_read_only
 from twin.errors import InputError
-from twin.geometry.edges import EdgeTable, edge_table, welded
+from twin.geometry.edges import EdgeTable, connected, edge_table, welded
 from twin.geometry.faces import areas, normals
 from twin.geometry.shape import Shape, shapes_of
 
@@ -149,6 +149,14 @@ class Geometry(Described):
         faces = self.welded_faces
         a, b, c = (self.vertices_m[faces[:, i]] for i in range(3))
         return edge_table(faces[(np.cross(b - a, c - a) != 0).any(axis=1)])
+
+    @cached_read_only
+    def parts(self) -> NDArray[np.int64]:
+        """Number of the part that each face belongs to, (m,): what hangs together by corners."""
+        faces = self.welded_faces
+        links = np.concatenate([faces[:, :2], faces[:, 1:]])
+        of_face = connected(links, len(self.vertices_m))[faces[:, 0]]
+        return np.unique(of_face, return_inverse=True)[1].reshape(-1)
 
     @cached_property
     def merged(self) -> Any:

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from twin.geometry import Geometry, connected
+from twin.geometry import Geometry
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.scene.scattering_models import (
     LARGE_BESIDE_OPTICS,
@@ -35,7 +35,7 @@ def parted(scene: Scene, radar: RadarDesign) -> Scene:
     objects: list[SceneObject] = []
     for item, distance_m in zip(scene.objects, near_m.tolist(), strict=True):
         split = None
-        if item.radar is None and _mirrors(item, distance_m, wavelength_m):
+        if item.radar is None and _may_have_parts(item, distance_m, wavelength_m):
             x, y, z = item.pose.inv().apply(place_m).tolist()
             split = _apart(item.geometry, (x, y, z), wavelength_m)
         if split is None:
@@ -46,9 +46,10 @@ def parted(scene: Scene, radar: RadarDesign) -> Scene:
     return replace(scene, objects=tuple(objects)) if len(objects) > len(near_m) else scene
 
 
-def _mirrors(item: SceneObject, distance_m: float, wavelength_m: float) -> bool:
-    shape = item.geometry.shape
-    return role_by_size(shape, distance_m, wavelength_m) is ScatteringModel.SURFACE
+def _may_have_parts(item: SceneObject, distance_m: float, wavelength_m: float) -> bool:
+    """Whether it is a large surface that does not hang together."""
+    role = role_by_size(item.geometry.shape, distance_m, wavelength_m)
+    return role is ScatteringModel.SURFACE and bool(item.geometry.parts.any())
 
 
 def _part(item: SceneObject, name: str, geometry: Geometry) -> SceneObject:
@@ -63,15 +64,10 @@ def _apart(
     """The parts of a mesh with a patch that is large at its distance from a place, and all others;
     None where there are no others that could scatter.
     """
-    shape, corners = geometry.shape, geometry.welded_faces
-    links = np.concatenate([corners[:, :2], corners[:, 1:]])
-    number, part = np.unique(
-        connected(links, len(geometry.vertices_m))[corners[:, 0]], return_inverse=True
-    )
-    if len(number) == 1:
-        return None
+    shape, part = geometry.shape, geometry.parts
     order, by_patch = (np.argsort(x, kind="stable") for x in (part, shape.patch_of_face))
-    first = np.searchsorted(part[order], np.arange(len(number)))
+    count = int(part.max()) + 1
+    first = np.searchsorted(part[order], np.arange(count))
     points = geometry.corners_m[order]
     low, high = (
         end.reduceat(by_face, first)
@@ -86,7 +82,7 @@ def _apart(
     if len(planes) > _MOST_PLANES:
         return None
     # The bottom of what stands on the ground is in its plane; of a pavement's slabs all is.
-    in_plane = np.zeros(len(number), dtype=bool)
+    in_plane = np.zeros(count, dtype=bool)
     for face in np.searchsorted(shape.patch_of_face, planes, sorter=by_patch).tolist():
         normal, corner = geometry.normals[by_patch[face]], geometry.corners_m[by_patch[face], 0]
         off_m = np.abs((points - corner) @ normal).max(axis=1)
