@@ -57,10 +57,10 @@ def missing_edge_factor(q: Array, p: Array) -> Complex:
 
     ``q`` and ``p`` (n,) are not negative.
     """
-    swap = p > q
-    part = _owen_t(np.where(swap, p, q), np.where(swap, q, p))
+    factor = _owen_t(np.maximum(q, p), np.minimum(q, p))
     # Owen's reflection of T: the two orders add up to a product of knife edges.
-    factor: Complex = np.where(swap, knife_edge_factor(q) * knife_edge_factor(p) - part, part)
+    some = p > q
+    factor[some] = knife_edge_factor(q[some]) * knife_edge_factor(p[some]) - factor[some]
     return factor
 
 

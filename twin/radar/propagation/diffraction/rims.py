@@ -175,15 +175,6 @@ class _Pairs:
         depth: Array = dots(place, self.direct) / dots(self.places, self.places)[self.point]
         return depth
 
-    def longer_over(self, ends: Array) -> Array:
-        """By how much paths over an end of each edge of the rim, (m, 3), are longer than direct
-        ones, (n,).
-        """
-        there, direct = lengths(ends), lengths(self.places)
-        square = direct[:, None] ** 2 + there**2 - 2 * self.places @ ends.T
-        longer: Array = there + np.sqrt(np.maximum(square, 0)) - direct[:, None]
-        return longer[self.point, self.edge]
-
 
 def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pairs:
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
@@ -276,15 +267,10 @@ def _end_paths(pairs: _Pairs, end: int, faintest: float, far: float) -> Diffract
     """Paths over one end of edges, which subtract the edge missing beyond it: from a phase ``far``
     on by the first term of an asymptotic series; ``item``: the corner.
     """
-    rim, ends = pairs.rim, pairs.rim.ends[:, end]
-    p = np.maximum(pairs.wavenumber * pairs.longer_over(ends) - pairs.q, 0)
-    # By the first term.
-    level = np.sqrt(pairs.q) / (4 * np.pi * np.maximum(np.sqrt(p) * (p + pairs.q), 1e-30))
-    some = np.flatnonzero(level > faintest)
-    pairs, p, factor = pairs.take(some), p[some], -1j * level[some]
-    depth = pairs.depth(ends[pairs.edge])
-    some = np.flatnonzero((depth > 0) & (depth < 1))
-    pairs, p, factor = pairs.take(some), p[some], factor[some]
+    rim, ends = pairs.rim, np.ascontiguousarray(pairs.rim.ends[:, end])
+    of_pairs = pairs.point, pairs.edge, pairs.q
+    some, p, level = kernel(_passing)(ends, pairs.places, *of_pairs, pairs.wavenumber, faintest)
+    pairs, factor = pairs.take(some), -1j * level
     near = p < far
     factor[near] = missing_edge_factor(pairs.q[near], p[near])
     place = ends[pairs.edge]
@@ -297,6 +283,38 @@ def _end_paths(pairs: _Pairs, end: int, faintest: float, far: float) -> Diffract
     is_sharp = both[:, 1].any(axis=1) & (dots(both[:, 0], both[:, 1]) > -_STRAIGHT)
     corner = np.where(is_sharp[:, None, None], both, 0.0)
     return replace(paths, item=rim.corner[pairs.edge, end], corner=corner)
+
+
+def _passing(
+    ends: Array,
+    places: Array,
+    point: Indices,
+    edge: Indices,
+    q: Array,
+    wavenumber: float,
+    faintest: float,
+) -> tuple[Indices, Array, Array]:
+    """Which pairs' paths over an end of the edge, (m, 3) relative to the source, count and pass it
+    between source and point; by which phase they are longer than those over the edge's line; and
+    their level by the first term.
+    """
+    rows = np.empty(len(point), dtype=np.int64)
+    more, level = np.empty((2, len(point)))
+    count = 0
+    for i in range(len(point)):
+        x, y, z = places[point[i]]
+        a, b, c = ends[edge[i]]
+        forward, square = x * a + y * b + z * c, x * x + y * y + z * z
+        if forward <= 0 or forward >= square:
+            continue
+        there = np.sqrt(a * a + b * b + c * c)
+        back = np.sqrt((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2)
+        p = max(wavenumber * (there + back - np.sqrt(square)) - q[i], 0.0)
+        first = np.sqrt(q[i]) / (4 * np.pi * max(np.sqrt(p) * (p + q[i]), 1e-30))
+        if first > faintest:
+            rows[count], more[count], level[count] = i, p, first
+            count += 1
+    return rows[:count], more[:count], level[:count]
 
 
 def _paths_by(

@@ -55,7 +55,9 @@ class TwoEdgeBends(ABC):
         """
         here, known = self.field(path, places), self._known
         is_lit, alone = known.is_lit[path], known.alone[path]
-        over_edges = (here.alone * 1.0 - alone) * _sign(here.is_lit) * knife_edge_factor(here.q)
+        over_edges = ((here.alone * 1.0 - alone) * _sign(here.is_lit)).astype(np.complex128)
+        changes = over_edges != 0
+        over_edges[changes] *= knife_edge_factor(here.q[changes])
         straight = here.is_straight * 1.0 - known.is_straight[path]
         straight -= np.sum(alone * (here.is_lit != is_lit) * _sign(is_lit), axis=1)
         wave, longer = as_one(

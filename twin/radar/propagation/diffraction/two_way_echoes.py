@@ -18,7 +18,7 @@ from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.triangle_means import mean_waves
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.rows import alike, dots, lengths, phasors
+from twin.radar.rows import alike, lengths, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -170,12 +170,22 @@ def _askew(ways: Ways, paths: Indices, ends: Indices, normal: Array) -> Array:
     """
     straight = ways.bends.source[paths] - ways.bends.known[paths]
     straight /= lengths(straight)[:, None]
-    own, given = (
-        dots(normal, towards[ends].sum(axis=0)) for towards in (ways.paths.back[paths], straight)
-    )
-    # Edge-on to the straight waves, a facet has no current of them, whatever the factor.
-    share = np.divide(own, given, out=np.ones_like(given), where=given != 0)
-    return np.asarray(share.clip(0, _MOST_ASKEW))
+    share: Array = kernel(_more_facing)(normal, ways.paths.back[paths], straight, *ends)
+    return share
+
+
+def _more_facing(normal: Array, own: Array, given: Array, one: Indices, other: Indices) -> Array:
+    share = np.ones(len(normal))
+    for i in range(len(normal)):
+        p, q = one[i], other[i]
+        faces, facing = 0.0, 0.0
+        for axis in range(3):
+            faces += normal[i, axis] * (own[p, axis] + own[q, axis])
+            facing += normal[i, axis] * (given[p, axis] + given[q, axis])
+        # Edge-on to the straight waves, a facet has no current of them, whatever the factor.
+        if facing != 0:
+            share[i] = min(max(faces / facing, 0.0), _MOST_ASKEW)
+    return share
 
 
 def _spread(obstacles: Screens, ways: Ways, ends: Indices) -> Complex:

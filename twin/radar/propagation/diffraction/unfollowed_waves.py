@@ -20,7 +20,7 @@ from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Outline
-from twin.radar.rows import lengths
+from twin.radar.rows import lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -130,7 +130,7 @@ class _Lit:
         """By facets, (p,), of waves over edges, over the straight one and without its phase."""
         k = self.wavenumber
         length = self.straight[row] + self.again[row] + longer
-        echo = self.weight[row] * wave * np.exp(-1j * (k * length % (2 * np.pi)))
+        echo = self.weight[row] * wave * phasors(-(k * length % (2 * np.pi)))
         echo *= self.facets.take(row).mean(k * (self.back[row] + towards))
         return FaintWaves(len(self.size), self.facets.cell[row], level, length, echo)
 
