@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from hardware.errors import InputError
-from hardware.radar.integrity import silence, usable_part
+from hardware.radar.integrity import silence, unusable_bursts, usable_part
 from hardware.reconstruction.imaging import measured_part
 from hardware.reconstruction.no_light import without_light
 from hardware.records import RadarRecord, SpiRecord
@@ -14,7 +14,7 @@ class Usability:
     """What can be made of a record.
 
     ``fault``: why it cannot be processed, empty where it can. ``whole``: False where a loss of data
-    leaves a part of a burst. ``silence``: that its sensor delivered nothing, empty where it did.
+    leaves a part of its bursts. ``silence``: that its sensor delivered nothing, empty where it did.
     """
 
     fault: str = ""
@@ -35,11 +35,10 @@ def _of_camera(record: SpiRecord) -> Usability:
 
 
 def _of_radar(record: RadarRecord) -> Usability:
-    """Of the bursts up to the first that is cut short, behind which none is processed."""
-    told = ""
-    for burst in range(len(record.iq)):
-        whole = usable_part(record, burst).whole
-        told = told or silence(record, burst)
-        if not whole:
-            return Usability(whole=False, silence=told)
-    return Usability(silence=told)
+    n_bursts, unusable = len(record.iq), unusable_bursts(record)
+    if n_bursts and len(unusable) == n_bursts:
+        return Usability(unusable[0])
+    left = [burst for burst in range(n_bursts) if burst not in unusable]
+    whole = [usable_part(record, burst).whole for burst in left]
+    told = next(filter(None, (silence(record, burst) for burst in left)), "")
+    return Usability(whole=not unusable and all(whole), silence=told)

@@ -74,7 +74,7 @@ def calibrate_radar(
     target = CalibrationTarget(distance, cross_section)
     incoming = records_of(source, None, radar_setup)
     try:
-        result = RadarCalibration.of(_bursts(incoming, None if is_log(source) else 1), target)
+        result = RadarCalibration.of(_bursts(say, incoming, None if is_log(source) else 1), target)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     for warning in result.warnings:
@@ -97,16 +97,20 @@ def calibrate_radar(
 
 
 def _bursts(
-    incoming: "Iterator[Received]", records: int | None
+    say: Output, incoming: "Iterator[Received]", records: int | None
 ) -> "Iterator[tuple[RadarRecord, Frame]]":
     """What the bursts of so many radar records show, of all: None."""
+    from hardware.radar.integrity import TooLittleLeftError
     from hardware.radar.process import frames
     from hardware.records import RadarRecord
 
     found = (each.record for each in incoming if isinstance(each.record, RadarRecord))
-    for record in itertools.islice(found, records):
-        for frame in frames(record):
-            yield record, frame
+    for number, record in enumerate(itertools.islice(found, records), 1):
+        try:
+            for frame in frames(record):
+                yield record, frame
+        except TooLittleLeftError as error:
+            say.warn(f"record {number}: left out: {error}")
 
 
 def _check_positive(**options: float) -> None:

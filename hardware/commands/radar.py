@@ -66,6 +66,7 @@ def detect(
     loaded, table = read_radar_record(record), []
     target = result_file(record, "-detections.csv", out, png)
     say.step(f"read {record}")
+    shown = png
     for frame in frames(loaded, how):
         say.step(f"processed burst {frame.burst}")
         _warn(say, record, frame.warnings)
@@ -73,9 +74,10 @@ def detect(
         say.verdict(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
         for line in table_rows(detections) if detections else ():
             say.line(line)
-        if png and frame.burst == 0:
-            write_png(png, frame.image.power_w)
-            say.written(png, " (range downwards, rate to the right)")
+        if shown:
+            write_png(shown, frame.image.power_w)
+            say.written(shown, " (range downwards, rate to the right)")
+            shown = None
         table += [(frame.burst, detection) for detection in detections]
     say.add(
         record=record,
@@ -262,21 +264,22 @@ def _intervals(
     from hardware.radar.burst import demodulate
     from hardware.radar.clutter import without_static
     from hardware.radar.detection_warnings import ranges_of_a_spectrogram
+    from hardware.radar.integrity import first_loss
 
-    number = 0
+    number, is_first = 0, True
     for record in _radar_records(path):
         for own in range(len(record.iq)):
-            if burst in (None, number):
+            if burst is None and (loss := first_loss(record, own)):
+                say.warn(f"{path}: burst {number}: left out, it is not whole: {loss}")
+            elif burst in (None, number):
                 interval = demodulate(record, own)
                 _warn(say, path, interval.warnings)
-                if burst is not None or number == 0:
+                if is_first:
                     _warn(say, path, tuple(ranges_of_a_spectrogram(interval)))
+                    is_first = False
                 channel = without_static(interval.channel) if moving_only else interval.channel
-                if interval.whole or burst is not None:
-                    middle_s = 1e-9 * float(record.device_time_ns[own].mean())
-                    yield middle_s, channel[0], interval.waveform
-                else:
-                    say.warn(f"{path}: burst {number}: left out, it is not whole")
+                middle_s = 1e-9 * float(record.device_time_ns[own].mean())
+                yield middle_s, channel[0], interval.waveform
                 say.step(f"read burst {number} of {path}")
             number += 1
     if not number:

@@ -5,6 +5,7 @@ cell compensated. The frequencies of one burst are first compressed to a range p
 interpolated at the delay of each cell: N log N + cells operations instead of N cells.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,9 @@ from hardware.described import Described
 from hardware.errors import InputError
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.grating import told as grating_lobes_told
-from hardware.records.state import positions, rotations
+from hardware.radar.integrity import first_loss, told_left_out
+from hardware.records.container import Flag
+from hardware.records.state import QuaternionPose, positions, rotations
 from hardware.waveform import C_M_PER_S
 
 if TYPE_CHECKING:
@@ -87,7 +90,8 @@ def image(
     Parameters
     ----------
     record
-        Bursts at their poses, up to the first one shortened by a gap or an overflow.
+        Bursts at their poses, whose whole ones are used; where the radar was reset in between, the
+        most between two resets, whose phases belong together.
     down_range_m, cross_range_m
         Cells, ahead and to the left of the pose in the middle of the track.
     wall
@@ -97,12 +101,13 @@ def image(
     leakage
         Subtract the record's leakage, where its delay is known.
 
-    Raises InputError when the first burst is incomplete, and for cells beyond what subcarriers can
+    Raises InputError where no burst is whole, and for cells beyond what subcarriers can
     tell, which show nearer echoes once more.
     """
-    bursts, warnings = _whole_bursts(record, leakage)
+    whole, warnings = _whole_bursts(record, leakage)
+    bursts = list(whole.values())
     cells, places, rotations_in_frame = _in_middle_frame(
-        record, len(bursts), down_range_m, cross_range_m
+        [record.pose[number] for number in whole], down_range_m, cross_range_m
     )
     _check_range(cells, places, bursts[0].waveform.max_range_m)
     value = np.zeros((len(down_range_m), len(cross_range_m)), dtype=np.complex128)
@@ -207,34 +212,35 @@ def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:
 
 def _whole_bursts(
     record: "RadarRecord", leakage: bool
-) -> tuple[list[DemodulatedBurst], tuple[str, ...]]:
-    bursts: list[DemodulatedBurst] = []
-    warnings: list[str] = []
+) -> tuple[dict[int, DemodulatedBurst], tuple[str, ...]]:
+    """Whole bursts by their numbers, the most between two resets, and warnings."""
+    runs, left_out = [dict[int, DemodulatedBurst]()], dict[int, str]()
     for number in range(len(record.iq)):
+        if (record.flags[number] & Flag.RESET).any():
+            runs.append({})
+        if loss := first_loss(record, number):
+            left_out[number] = f"burst {number}, {loss}"
+            continue
         try:
-            burst = demodulate(record, number, leakage=leakage)
-        except InputError:
-            if not bursts:
-                raise
-            warnings.append(f"burst {number} cannot be used")
-            break
-        warnings += burst.warnings
-        if not burst.whole:
-            if not bursts:
-                raise InputError(burst.warnings[0])
-            break
-        bursts.append(burst)
-    if len(bursts) < len(record.iq):
-        warnings.append(f"the image is of the {len(bursts)} of {len(record.iq)} bursts before it")
+            runs[-1][number] = demodulate(record, number, leakage=leakage)
+        except InputError as error:
+            left_out[number] = str(error)
+    bursts = max(runs, key=len)
+    if not bursts:
+        raise InputError(next(iter(left_out.values()), "iq: no burst in the record"))
+    for other in (run for run in runs if run is not bursts):
+        left_out |= {number: f"burst {number}: a reset is between it and most" for number in other}
+    warnings = [text for burst in bursts.values() for text in burst.warnings]
+    if left_out:
+        warnings.append(told_left_out(dict(sorted(left_out.items())), len(record.iq)))
     return bursts, tuple(warnings)
 
 
 def _in_middle_frame(
-    record: "RadarRecord", n_bursts: int, down_range_m: Array, cross_range_m: Array
+    poses: Sequence[QuaternionPose], down_range_m: Array, cross_range_m: Array
 ) -> tuple[Array, Array, Array]:
     """Cells (n_down, n_cross, 3), antenna places (n_bursts, 3) and axes (n_bursts, 3, 3)."""
-    poses = record.pose[:n_bursts]
-    middle = n_bursts // 2
+    middle = len(poses) // 2
     axes, at_m = rotations(poses), positions(poses)
     home = axes[middle].inv()
     places = home.apply(at_m - at_m[middle])

@@ -1,5 +1,6 @@
 """Integrity of a burst: its longest part without a loss; warnings of silence and clipping."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,14 @@ _CLOCK = 0.01  # of a slot, by which its start may be off
 _WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lost"}
 
 
+#: Bursts that a warning names one by one.
+_MOST_NAMED = 10
+
+
+class TooLittleLeftError(InputError):
+    """A burst of which too little is left without a loss of data to be processed."""
+
+
 @dataclass(frozen=True)
 class UsablePart:
     """The longest part of a burst without a loss of data, and its warnings.
@@ -32,6 +41,18 @@ class UsablePart:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Intact:
+    """The longest part without a loss, as in `UsablePart`; ``loss``: where the first loss is and of
+    what kind, empty where there is none; ``is_enough``: whether the part can be processed.
+    """
+
+    steps: slice
+    slots: slice
+    loss: str
+    is_enough: bool
+
+
 def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     """The part of a burst that can be processed coherently: the longest without a gap, overflow,
     reset or lost slot.
@@ -39,26 +60,58 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     What is beyond a lost slot is left out with it: in the gap's place the transforms would take
     zeros for echoes, which lowers levels and raises side lobes.
 
-    Raises InputError where no part is long enough, for receivers that hold nothing of their own in
-    it, see `check_receivers`, and for a burst that the record does not have.
+    Raises TooLittleLeftError where no part is long enough; InputError for receivers that hold
+    nothing of their own in it, see `check_receivers`, and for a burst that the record does not
+    have.
     """
     check_index("burst", burst, len(record.iq))
+    part = _intact_part(record, burst)
+    steps, slots = part.steps, part.slots
+    if not part.is_enough:
+        raise TooLittleLeftError(_too_little(burst, part.loss))
+    check_receivers(burst, record.iq[burst, steps, slots], record.waveform)
+    warnings = _levels(record, burst)
+    if part.loss:
+        of = f"slots {slots.start} to {slots.stop - 1} of step {steps.start}"
+        if slots.stop - slots.start == record.flags.shape[2]:
+            of = f"steps {steps.start} to {steps.stop - 1}"
+        warnings.insert(0, f"burst {burst}, {part.loss}; processed are {of}")
+    return UsablePart(steps, slots, not part.loss, tuple(warnings))
+
+
+def first_loss(record: "RadarRecord", burst: int) -> str:
+    """Step, slot and kind of a burst's first loss of data; empty where it is whole."""
+    return _intact_part(record, burst).loss
+
+
+def unusable_bursts(record: "RadarRecord") -> dict[int, str]:
+    """Bursts of which a loss of data leaves too little to be processed, and why."""
+    parts = {burst: _intact_part(record, burst) for burst in range(len(record.iq))}
+    return {
+        burst: _too_little(burst, part.loss) for burst, part in parts.items() if not part.is_enough
+    }
+
+
+def told_left_out(why: Mapping[int, str], n_bursts: int) -> str:
+    """Warning of bursts that are left out, of so many in all: which, and ``why`` the first is."""
+    numbers = ", ".join(map(str, list(why)[:_MOST_NAMED])) + ", ..." * (len(why) > _MOST_NAMED)
+    return (
+        f"{len(why)} of {n_bursts} bursts left out ({numbers}), the first since: "
+        f"{next(iter(why.values()))}"
+    )
+
+
+def _too_little(burst: int, loss: str) -> str:
+    return f"burst {burst}, {loss}; too little is left without a loss"
+
+
+def _intact_part(record: "RadarRecord", burst: int) -> _Intact:
     lost = np.asarray((record.flags[burst] & sum(_WITHOUT_SAMPLES)) != 0)
     late = _behind_gaps(record, burst)
-    warnings = _levels(record, burst)
-    if not (lost | late).any():
-        check_receivers(burst, record.iq[burst], record.waveform)
-        n_steps, n_slots = lost.shape
-        return UsablePart(slice(0, n_steps), slice(0, n_slots), True, tuple(warnings))
     steps, slots = _longest_part(lost, late)
-    where = _first_loss(record, burst, lost | late)
-    if slots.stop - slots.start < 2 * len(record.front_end.transmitters_m):
-        raise InputError(f"{where}; too little is left without a loss")
-    check_receivers(burst, record.iq[burst, steps, slots], record.waveform)
-    of = f"slots {slots.start} to {slots.stop - 1} of step {steps.start}"
-    if slots.stop - slots.start == lost.shape[1]:
-        of = f"steps {steps.start} to {steps.stop - 1}"
-    return UsablePart(steps, slots, False, (f"{where}; processed are {of}", *warnings))
+    loss = _first_loss(record, burst, lost | late) if (lost | late).any() else ""
+    is_enough = slots.stop - slots.start >= 2 * len(record.front_end.transmitters_m)
+    return _Intact(steps, slots, loss, is_enough or not loss)
 
 
 def _behind_gaps(record: "RadarRecord", burst: int) -> NDArray[np.bool_]:
@@ -101,7 +154,7 @@ def _first_loss(record: "RadarRecord", burst: int, lost: NDArray[np.bool_]) -> s
     flags = int(record.flags[burst, step, slot])
     names = [name for flag, name in _WITHOUT_SAMPLES.items() if flags & flag]
     why = f"flagged as {' and '.join(names)}" if names else "after a gap"
-    return f"burst {burst}, step {step}, slot {slot}: {why}"
+    return f"step {step}, slot {slot}: {why}"
 
 
 def silence(record: "RadarRecord", burst: int) -> str:

@@ -32,6 +32,7 @@ from hardware.radar.detection_warnings import (
     untested_rates,
     without_directions,
 )
+from hardware.radar.integrity import TooLittleLeftError, told_left_out, unusable_bursts
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
@@ -241,15 +242,18 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Results of all bursts, up to and including the first one cut short by a loss of data."""
-    for burst in range(len(record.iq)):
+    """Results of all bursts of which a loss of data leaves enough; the first warns of the others.
+
+    Raises TooLittleLeftError where that is none, and as `process`.
+    """
+    n_bursts, unusable = len(record.iq), unusable_bursts(record)
+    if n_bursts and len(unusable) == n_bursts:
+        raise TooLittleLeftError(unusable[0])
+    warnings = (told_left_out(unusable, n_bursts),) if unusable else ()
+    for burst in (number for number in range(n_bursts) if number not in unusable):
         frame = process(record, burst, how, waveform=waveform)
-        left = len(record.iq) - burst - 1
-        if not frame.whole and left:
-            warning = f"the {left} bursts after it are left out"
-            yield replace(frame, warnings=(*frame.warnings, warning))
-            return
-        yield frame
+        yield replace(frame, warnings=(*warnings, *frame.warnings)) if warnings else frame
+        warnings = ()
 
 
 def _points(

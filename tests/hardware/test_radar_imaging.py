@@ -196,15 +196,43 @@ def test_cells_beyond_what_subcarriers_tell_are_refused() -> None:
         image(record, np.array([29.0, 30.01]), np.array([0.0]))
 
 
-def test_the_image_stops_at_the_first_broken_burst() -> None:
+def test_the_image_is_of_all_whole_bursts() -> None:
+    """As of a record that never had the broken ones, at the end of the track and within it; the
+    track's middle, from which cells count, stays where it is.
+    """
     record = cube(BAND, [Echo((0.9, 0.0, 0.0))], pose=track(33, 0.96))
-    record.flags[20, 0, 0] = Flag.OVERRUN
-    found = image(record, DOWN, CROSS)
-    assert found.n_bursts == 20
-    assert "the image is of the 20 of 33 bursts before it" in found.warnings[-1]
-    record.flags[0, 0, 0] = Flag.OVERRUN
-    with pytest.raises(ValueError, match="burst 0, step 0, slot 0"):
+    record.flags[[0, 20, 32], 0, 0] = Flag.OVERRUN
+    kept = [number for number in range(33) if number not in (0, 20, 32)]
+    without = replace(
+        record,
+        iq=record.iq[kept],
+        device_time_ns=record.device_time_ns[kept],
+        flags=record.flags[kept],
+        pose=tuple(record.pose[number] for number in kept),
+    )
+    found, expected = image(record, DOWN, CROSS), image(without, DOWN, CROSS)
+    assert found.n_bursts == 30
+    np.testing.assert_array_equal(found.value, expected.value)
+    assert found.warnings == (
+        *expected.warnings,
+        "3 of 33 bursts left out (0, 20, 32), the first since: burst 0, step 0, slot 0: flagged "
+        "as overrun",
+    )
+    record.flags[:, 0, 0] = Flag.OVERRUN
+    with pytest.raises(ValueError, match="burst 0, step 0, slot 0: flagged as overrun"):
         image(record, DOWN, CROSS)
+
+
+def test_phases_of_before_and_behind_a_reset_are_not_joined() -> None:
+    """A reset may change the oscillator's phase: the image is of the longer part."""
+    record = cube(BAND, [Echo((0.9, 0.0, 0.0))], pose=track(33, 0.96))
+    record.flags[10, 0, 0] = Flag.RESET
+    found = image(record, DOWN, CROSS)
+    assert found.n_bursts == 22
+    assert found.warnings[-1] == (
+        "11 of 33 bursts left out (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...), the first since: burst 0: a "
+        "reset is between it and most"
+    )
 
 
 # The paper's figure 3 b: two conducting cylinders of radius 40 mm, 15 cm apart, at 0.9 m.

@@ -37,6 +37,7 @@ from hardware.radar.settings import Processing
 from hardware.radar.superresolution import resolve
 from hardware.radar.windows import normalised_window
 from hardware.records import Flag
+from hardware.usability import Usability, usability
 
 
 def from_above(range_m: float, azimuth: float, rate: float = 0.0, **more) -> Echo:
@@ -142,13 +143,44 @@ def test_nothing_without_a_loss_is_an_error(plain, flag: Flag) -> None:
         process(replace(plain, flags=flags))
 
 
-def test_bursts_after_a_broken_one_are_left_out() -> None:
-    pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (3, 1))
-    record = cube(replace(WIDE, n_slots=16), [from_above(3.0, 0.0)], pose=pose)
-    record.flags[1, 0, 9] = Flag.OVERRUN
-    taken = list(frames(record))
-    assert [frame.whole for frame in taken] == [True, False]
-    assert "the 1 bursts after it are left out" in taken[1].warnings[-1]
+def _bursts(n_bursts: int):
+    pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (n_bursts, 1))
+    return cube(replace(WIDE, n_slots=16), [from_above(3.0, 0.0)], pose=pose, noise_w=1e-9)
+
+
+def test_bursts_behind_a_cut_one_are_processed_as_without_it() -> None:
+    """A burst cut short and one that is lost altogether take nothing from the others."""
+    record = _bursts(5)
+    whole = {frame.burst: frame.detections for frame in frames(record)}
+    flags = record.flags.copy()
+    flags[1, 0, 9], flags[3] = Flag.OVERRUN, Flag.LOST
+    found = {frame.burst: frame for frame in frames(replace(record, flags=flags))}
+    assert [frame.whole for frame in found.values()] == [True, False, True, True]
+    for burst in (0, 2, 4):
+        assert found[burst].detections == whole[burst] != ()
+    assert "burst 1, step 0, slot 9: flagged as overrun" in found[1].warnings[0]
+    assert found[0].warnings[0] == (
+        "1 of 5 bursts left out (3), the first since: burst 3, step 0, slot 0: flagged as lost; "
+        "too little is left without a loss"
+    )
+    assert not any("left out" in text for burst in (1, 2, 4) for text in found[burst].warnings)
+
+
+def test_a_record_whose_first_burst_is_lost_is_usable() -> None:
+    """Told alike while it is recorded and while it is processed; without any burst it is an error
+    that names the first.
+    """
+    record = _bursts(14)
+    record.flags[:12] = Flag.LOST
+    assert usability(record) == Usability(whole=False)
+    first, second = frames(record)
+    assert (first.burst, second.burst) == (12, 13)
+    assert "12 of 14 bursts left out (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...)" in first.warnings[0]
+    record.flags[:] = Flag.LOST
+    told = "burst 0, step 0, slot 0: flagged as lost; too little is left without a loss"
+    assert usability(record) == Usability(told)
+    with pytest.raises(InputError, match=told):
+        next(frames(record))
 
 
 def test_silence_and_clipping_are_told(plain) -> None:

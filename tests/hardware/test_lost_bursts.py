@@ -1,0 +1,70 @@
+"""Commands go on behind a burst that a loss of data leaves nothing of, and tell of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from radar_cubes import WIDE, Echo, cube
+from ugv_command import ugv
+
+from hardware.recording import Log
+from hardware.records import Flag, RadarRecord, write_radar_record
+
+
+def _record(n_bursts: int = 1) -> RadarRecord:
+    """A point at 9 m."""
+    pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (n_bursts, 1))
+    return cube(WIDE, [Echo((9.0, 0, 0), 1e-9, (2.0, 0, 0))], noise_w=1e-14, pose=pose)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Of three records the second has no two slots one after another, by the clock alone."""
+    path, record = tmp_path / "drive.mcap", _record()
+    with Log(path) as log:
+        for number in range(3):
+            times = record.device_time_ns + number * 10**8
+            if number == 1:
+                times = times + 50_000 * np.arange(WIDE.n_slots)
+            log.record(
+                "/radar/record", replace(record, device_time_ns=times), host_ns=number * 10**8
+            )
+    return path
+
+
+def test_process_goes_on_behind_it(log: Path) -> None:
+    done = ugv("process", log, "--json")
+    assert not done.returncode, done.stderr
+    assert json.loads(done.stdout)["records"] == 2
+    assert "/radar/record: not processed: burst 0, step 0, slot 1: after a gap" in done.stderr
+
+
+def test_spectrogram_goes_on_behind_it(log: Path) -> None:
+    done = ugv("spectrogram", log, "--at", "9 m", "--json")
+    assert not done.returncode, done.stderr
+    table = np.genfromtxt(log.with_name("drive-spectrogram.csv"), delimiter=",")
+    np.testing.assert_allclose(table[0, 1:], [0.0, 0.2], atol=1e-6)
+    told = "burst 1: left out, it is not whole: step 0, slot 1: after a gap"
+    assert done.stderr.count(told) == 1
+
+
+def test_calibrate_goes_on_behind_it(log: Path, tmp_path: Path) -> None:
+    of_target = ("--distance", "9 m", "--cross-section", "1 m^2")
+    done = ugv("calibrate", "radar", log, "-o", tmp_path / "radar.h5", *of_target)
+    assert not done.returncode, done.stderr
+    assert "record 2: left out: burst 0, step 0, slot 1: after a gap" in done.stderr
+    assert "two-way gain" in done.stdout
+
+
+def test_detect_goes_on_behind_it(tmp_path: Path) -> None:
+    """The picture is of the first burst of which there is one."""
+    record = _record(3)
+    record.flags[0] = Flag.LOST
+    write_radar_record(record, tmp_path / "r.h5")
+    done = ugv("detect", tmp_path / "r.h5", "--png", tmp_path / "map.png")
+    assert not done.returncode, done.stderr
+    assert [f"burst {k}: 1 detections" in done.stdout for k in range(3)] == [False, True, True]
+    assert "1 of 3 bursts left out (0), the first since: burst 0, step 0" in done.stderr
+    assert (tmp_path / "map.png").exists()
