@@ -39,6 +39,7 @@ _SETTINGS = {
     "distributed.deploy.lost-worker-timeout": _WITHOUT_WORKERS_S,
 }
 _SILENT = 50  # level of Dask's own messages: that of what is critical
+_ALIKE = "all machines need the same version of the project and of its libraries"
 
 
 class WorkerDiedError(EngineError):
@@ -46,8 +47,8 @@ class WorkerDiedError(EngineError):
 
 
 class SchedulerGoneError(EngineError):
-    """There is nobody to compute: the scheduler is gone, has had no workers for a minute, or a
-    process died while it started.
+    """There is nobody to compute: the scheduler is gone, has had no workers for a minute, or none
+    that has the project, or a process died while it started.
     """
 
 
@@ -85,8 +86,9 @@ def dask(
     """Dask's workers: a local cluster, or a running one. When it ``is_over``, nothing waits for
     workers any more.
 
-    Raises InputError where a scheduler can't be reached, `SchedulerGoneError` where it has no
-    workers for a minute, `AskedToEndError`.
+    A worker that lacks the project is told on stderr, and left out. Raises InputError where a
+    scheduler can't be reached, `SchedulerGoneError` where it has no workers for a minute or all
+    that it has lack the project, `AskedToEndError`.
     """
     from dask.config import set as configured
     from distributed import Client
@@ -98,7 +100,7 @@ def dask(
         with configured(_SETTINGS), silence_logging_cmgr(_SILENT), client:
             name, advice = f"scheduler {scheduler}", f"start one: dask worker {scheduler}"
             pool = _Pool(client, is_over, name, advice)
-            yield Submit(pool.send, pool.result, _AHEAD * pool.wait(), Shared.of)
+            yield Submit(pool.send, pool.result, _AHEAD * len(pool.wait()), Shared.of)
         return
     n = workers or n_cores()
     threads = max(1, n_cores() // n)
@@ -256,7 +258,7 @@ def _with_values(work: Callable[..., Any], args: tuple[Any, ...]) -> Any:
 
 def _call_of_pickle() -> Callable[[bytes], Any]:
     """What makes a pickled call. As a function within one it is sent by value: a worker that lacks
-    this project, or has another version, can load it too, and say so.
+    this project, or has another version, can load it too, and say so: see `_lack`.
     """
 
     def call(pickled: bytes) -> Any:
@@ -267,10 +269,26 @@ def _call_of_pickle() -> Callable[[bytes], Any]:
         try:
             work, args = pickle.loads(pickled)
         except (ImportError, AttributeError) as error:
-            raise ImportError(f"worker {get_worker().address}: {error}") from None
+            raise ImportError(get_worker().address, str(error)) from None
         return work(*args)
 
     return call
+
+
+def _lack(error: BaseException | None) -> tuple[str, str] | None:
+    """Address of a worker that could not load a call, and what it lacks; None for other errors."""
+    if type(error) is ImportError and len(error.args) == 2:
+        return str(error.args[0]), str(error.args[1])
+    return None
+
+
+@dataclass(eq=False)
+class _Sent:
+    """Work that is sent, and ``workers`` that may do it; None: all."""
+
+    pickled: bytes
+    future: "Future | None" = None
+    workers: frozenset[str] | None = None
 
 
 class _Pool:
@@ -292,38 +310,80 @@ class _Pool:
         self, client: "Client", is_over: Callable[[], bool], name: str, advice: str = ""
     ) -> None:
         self._client, self._is_over, self._name, self._advice = client, is_over, name, advice
+        self._waiting = set[_Sent]()
+        self._lacking: dict[str, str] = {}
+        self._has_answered = False
 
-    def send(self, work: Callable[..., Any], *args: Any) -> "Future":
-        """Work sent, and what waits for it. Where a worker dies or leaves another one does it."""
+    def send(self, work: Callable[..., Any], *args: Any) -> _Sent:
+        """Work sent. Where a worker dies, leaves or lacks the project another one does it."""
         from distributed.protocol.pickle import dumps
 
-        pickled = dumps((_with_values, (work, args)))
-        with self._told():
-            return self._client.submit(_call_of_pickle(), pickled, pure=False, retries=2)
+        sent = _Sent(dumps((_with_values, (work, args))))
+        self._start(sent)
+        self._waiting.add(sent)
+        return sent
 
-    def result(self, future: "Future") -> Any:
+    def result(self, sent: _Sent) -> Any:
         """A result; the last worker may go while one waits for it."""
         from distributed import KilledWorker
 
-        while not self._is_done(future):
-            self.wait()
         try:
-            with self._told():
-                return future.result()
+            while True:
+                try:
+                    found = self._answer(sent)
+                except ImportError as error:
+                    if (lack := _lack(error)) is None:
+                        raise EngineError(f"{self._name}: {error}; {_ALIKE}") from error
+                    self._leave_out(*lack)
+                else:
+                    self._has_answered = True
+                    return found
         except KilledWorker as error:
             raise WorkerDiedError("the worker's process died") from error
-        except ImportError as error:
-            raise EngineError(
-                f"{self._name}: {error}; all machines need the same version of the project and of "
-                "its libraries"
-            ) from error
+        finally:
+            self._waiting.discard(sent)
 
-    def wait(self) -> int:
-        """How many workers there are, once there is one."""
+    def _start(self, sent: _Sent) -> None:
+        """Have work done, once there is a worker for it."""
+        sent.workers = self.wait() if self._lacking else None
+        with self._told():
+            sent.future = self._client.submit(
+                _call_of_pickle(), sent.pickled, pure=False, retries=2, workers=sent.workers
+            )
+
+    def _answer(self, sent: _Sent) -> Any:
+        assert sent.future is not None
+        while not self._is_done(sent.future):
+            there = self.wait()
+            if sent.workers is not None and not sent.workers & there:
+                self._start(sent)
+        with self._told():
+            return sent.future.result()
+
+    def _leave_out(self, address: str, lacks: str) -> None:
+        """Give a worker no more work, and what it could not load to others."""
+        is_new = address not in self._lacking
+        self._lacking[address] = lacks
+        self.wait()
+        if is_new:
+            told = f"{self._name}: worker {address} left out: {lacks}; {_ALIKE}"
+            print(told, file=sys.stderr, flush=True)
+        for sent in self._waiting:
+            if sent.future is not None and sent.future.status == "error":
+                with self._told():
+                    is_lack = _lack(sent.future.exception()) is not None
+                if is_lack:
+                    self._start(sent)
+
+    def wait(self) -> frozenset[str]:
+        """Addresses of the workers that do not lack the project, once there is one."""
         begin, words = time.monotonic(), f"{self._name}: no workers{{}} {_WITHOUT_WORKERS_S:.0f} s"
         words += self._advice and f"; {self._advice}"
         said = not self._advice
-        while not (n := self._n_workers()):
+        while not (able := (there := self._workers()) - self._lacking.keys()):
+            if there and not self._has_answered:
+                lacks = "; ".join(f"worker {one}: {self._lacking[one]}" for one in sorted(there))
+                raise SchedulerGoneError(f"{self._name}: {lacks}; {_ALIKE}")
             if not said:
                 said = True
                 print(words.format("; waiting"), file=sys.stderr, flush=True)
@@ -332,7 +392,7 @@ class _Pool:
             if time.monotonic() - begin > _WITHOUT_WORKERS_S:
                 raise SchedulerGoneError(words.format(" for"))
             time.sleep(min(_LOOK_S, _WITHOUT_WORKERS_S / 4))
-        return n
+        return able
 
     def _is_done(self, future: "Future") -> bool:
         from distributed import TimeoutError as NotYetError
@@ -344,9 +404,9 @@ class _Pool:
             return False
         return True
 
-    def _n_workers(self) -> int:
+    def _workers(self) -> frozenset[str]:
         with self._told():
-            return len(self._client.scheduler_info(n_workers=-1)["workers"])
+            return frozenset(self._client.scheduler_info(n_workers=-1)["workers"])
 
     @contextmanager
     def _told(self) -> Iterator[None]:

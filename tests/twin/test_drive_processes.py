@@ -14,6 +14,7 @@ import pytest
 
 from hardware.errors import InputError
 from tests.twin import driven
+from tests.twin.clusters import running_cluster, worker_without_the_project
 from twin.drive import DeviceClock, drive, measuring
 from twin.drive.measuring import in_order, pool_of
 from twin.drive.plan import Event
@@ -190,6 +191,19 @@ def test_where_processes_are_gone_the_drive_says_how_it_goes_on(
         drive(plan(), path, workers=2)
     assert drive(plan(), path, workers=0).resumed == 6
     assert path.read_bytes() == alone
+
+
+def test_a_worker_without_the_project_does_not_end_a_drive(
+    tmp_path: Path, alone: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The other one computes all of it, to the same bytes."""
+    path = tmp_path / "run.mcap"
+    with running_cluster() as cluster, worker_without_the_project(cluster, tmp_path):
+        cluster.scale(1)
+        cluster.wait_for_workers(2)
+        assert drive(plan(), path, scheduler=cluster.scheduler_address).complete
+    assert path.read_bytes() == alone
+    assert "left out: none of it is here; all machines need" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Processes that compute a sweep's points."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,9 +11,10 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from items_to_make import with_process
 
-from twin.errors import EngineError
-from twin.workers import AskedToEndError, dask
+from tests.twin.clusters import running_cluster, worker_without_the_project
+from twin.workers import AskedToEndError, SchedulerGoneError, dask
 
 #: An end that closes nothing, as of a kill, with what a cluster holds meanwhile.
 ENDED_EARLY = """
@@ -29,9 +31,7 @@ if __name__ == "__main__":
 @pytest.fixture
 def running() -> Iterator[LocalCluster]:
     """A running scheduler, so far without workers."""
-    quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
-    where = {"host": "127.0.0.1", "protocol": "tcp"}
-    with LocalCluster(n_workers=0, processes=False, **quiet, **where) as cluster:
+    with running_cluster() as cluster:
         yield cluster
 
 
@@ -79,25 +79,62 @@ def test_no_worker_is_waited_for_when_it_is_over(running: LocalCluster) -> None:
         pass
 
 
-@pytest.mark.whole
-def test_a_worker_without_the_project_is_told(running: LocalCluster, tmp_path: Path) -> None:
-    """With its address, in place of a trace."""
-    package = tmp_path / "twin" / "__init__.py"
-    package.parent.mkdir()
-    package.write_text('raise ImportError("none of it is here")\n')
+def test_a_worker_without_the_project_is_left_out(
+    running: LocalCluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """All work is done by the other one, and one line says why; it had ended the command."""
+    running.scale(1)
     address = running.scheduler_address
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"]
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    worker = subprocess.Popen(
-        command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-    )
-    try:
-        told = rf"scheduler {address}: worker tcp://\S+: none of it is here; all machines need"
-        with dask(address, None) as submit, pytest.raises(EngineError, match=told):
+    with worker_without_the_project(running, tmp_path), dask(address, None) as submit:
+        sent = [submit(with_process, number, "slow") for number in range(8)]
+        found = [submit.result(one) for one in sent]
+        found += [submit.result(submit(with_process, 8, "late"))]
+    assert [number for number, _, _ in found] == list(range(9))
+    assert {process for _, _, process in found} == {os.getpid()}
+    told = rf"scheduler {address}: worker tcp://\S+ left out: none of it is here; all machines need"
+    assert len(re.findall(told, capfd.readouterr().err)) == 1
+
+
+@pytest.mark.parametrize("moment", ["before the work", "within it"])
+def test_workers_of_which_none_has_the_project_are_told(
+    running: LocalCluster, tmp_path: Path, moment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With address and what they lack; at once where nothing is computed yet, else others are
+    waited for.
+    """
+    address = running.scheduler_address
+    monkeypatch.setattr("twin.workers._LOOK_S", 0.1)
+    told = rf"scheduler {address}: worker tcp://\S+: none of it is here; all machines need"
+    if moment == "within it":
+        running.scale(1)
+        monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 1.0)
+        told = "no workers for 1 s"
+    with worker_without_the_project(running, tmp_path), dask(address, None) as submit:
+        if moment == "within it":
+            assert submit.result(submit(sum, [1])) == 1
+            running.scale(0)
+            while len(running.scheduler.workers) > 1:
+                time.sleep(0.01)
+        with pytest.raises(SchedulerGoneError, match=told):
             submit.result(submit(sum, [1]))
-    finally:
-        worker.terminate()
-        worker.wait()
+
+
+def test_work_of_a_worker_that_leaves_goes_to_one_that_came_since(
+    running: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Work that is bound to the workers of its time is sent anew when all of these are gone."""
+    monkeypatch.setattr("twin.workers._LOOK_S", 0.1)
+    running.scale(1)
+    address = running.scheduler_address
+    with worker_without_the_project(running, tmp_path), dask(address, None) as submit:
+        sent = [submit(with_process, number, "slow") for number in range(4)]
+        assert [submit.result(one)[0] for one in sent] == list(range(4))
+        waiting = [submit(with_process, number, "slow") for number in range(4)]
+        running.scale(0)
+        while len(running.scheduler.workers) > 1:
+            time.sleep(0.01)
+        running.scale(1)
+        assert [submit.result(one)[0] for one in waiting] == list(range(4))
 
 
 def test_an_early_end_leaves_no_words_of_pythons_own(tmp_path) -> None:
