@@ -258,21 +258,21 @@ def _camera_apart(
     fidelity: Fidelity,
     method: str | Method | Solve | None,
     kept: KeptResults | None,
-) -> tuple[_Camera, dict[str, float], list[str]]:
+) -> tuple[_Camera, dict[str, float], KeptResults | None]:
     """In the helper: what `_camera` gives, the time in s of its stages, and what was kept."""
     use_cores(1 / 2)
     times = StageTimes()
     found = _camera(scene, systems, seed, fidelity, method, kept, times)
-    return found, times.seconds, kept.found if kept else []
+    return found, times.seconds, kept
 
 
 def _answer(helper: Helper, stages: Stages, kept: KeptResults | None) -> _Camera:
     """What the helper has computed."""
-    computed, seconds, found = helper.answer()
+    computed, seconds, theirs = helper.answer()
     for name, took_s in seconds.items():
         stages.ended(name, took_s)
     if kept:
-        kept.found += found
+        kept.add(theirs)
     return computed
 
 

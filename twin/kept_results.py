@@ -18,7 +18,7 @@ from typing import IO, Any, TypeVar
 
 import platformdirs
 
-from hardware.files import place_beside
+from hardware.files import place_beside, said
 from twin.digest import digest, source_digest, versions
 from twin.progress import tell
 
@@ -43,11 +43,15 @@ class KeptResults:
     ----------
     found
         Kinds of the results asked for that were there.
+    problem
+        The first reason why a result could not be kept, which is so for later ones too; empty:
+        none.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.found: list[str] = []
+        self.problem = ""
 
     @classmethod
     def of_user(cls) -> "KeptResults | None":
@@ -57,12 +61,23 @@ class KeptResults:
         folder = os.environ.get(_VARIABLE, platformdirs.user_cache_dir("ugv-twin", False))
         return cls(Path(folder).expanduser()) if folder else None
 
-    def get(self, kind: str, content: Sequence[Any], make: Callable[[], T]) -> T:
+    def add(self, other: "KeptResults") -> None:
+        """What another process found in the same folder, and its problem."""
+        self.found += other.found
+        self.problem = self.problem or other.problem
+
+    def get(
+        self,
+        kind: str,
+        content: Sequence[Any],
+        make: Callable[[], T],
+        mark: Callable[[T], T] = lambda kept: kept,
+    ) -> T:
         """A result of some kind, made when there is none.
 
         ``content`` is all that it is made of, see `digest`, to the last bit and word. The versions
         of what computes it count too, and the project's own source, a change of which makes it
-        anew.
+        anew. ``mark`` tells one that is there already from one that is made.
         """
         variant = os.environ.get("TWIN_VARIANT", "")
         source = source_digest(*_SOURCE, without=_OTHERS)
@@ -74,12 +89,19 @@ class KeptResults:
             kept = self._read(path)
             if kept is not None:
                 self.found.append(kind)
-                return kept[0]
+                return mark(kept[0])
             made = make()
-            # A full disk, or what can't be pickled: it is made anew the next time.
-            with suppress(OSError, pickle.PicklingError, AttributeError, TypeError):
-                self._write(path, made)
+            try:
+                # What can't be pickled is made anew the next time.
+                with suppress(pickle.PicklingError, AttributeError, TypeError):
+                    self._write(path, made)
+            except OSError as error:
+                self._note(said(error))
             return made
+
+    def _note(self, words: str) -> None:
+        """Store the first of several problems."""
+        self.problem = self.problem or words
 
     @contextmanager
     def _locked(self, path: Path) -> Iterator[bool]:
@@ -89,15 +111,19 @@ class KeptResults:
             folder = self._folder.stat()
             is_own = folder.st_uid == os.getuid() and not folder.st_mode & stat.S_IWOTH
             lock = path.with_suffix(".lock").open("w") if is_own else None
-        except OSError:
-            lock = None
+        except OSError as error:
+            self._note(said(error))
+            yield False
+            return
         if lock is None:
+            self._note(f"{self._folder}: is another user's, or others may write to it")
             yield False
             return
         with lock:
             try:
                 _wait_for(lock)
-            except OSError:  # of a file system without locks
+            except OSError as error:  # of a file system without locks
+                self._note(f"{lock.name}: {error.strerror}")
                 yield False
                 return
             yield True
@@ -131,8 +157,9 @@ class KeptResults:
         for path in sorted(self._folder.glob("*.pickle"), key=_age, reverse=True):
             left -= _size(path)
             if left < 0:
-                path.unlink(missing_ok=True)
-                path.with_suffix(".lock").unlink(missing_ok=True)
+                for file in (path, path.with_suffix(".lock")):
+                    with suppress(OSError):  # a folder of somebody's own, say
+                        file.unlink()
 
 
 def _wait_for(lock: IO[str]) -> None:

@@ -2,10 +2,12 @@
 inputs.
 """
 
+import json
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,7 @@ import twin.camera.lit_frame
 import twin.radar.propagation.kept
 from tests.full_disk import files_up_to
 from tests.physics.radar_worlds import RADAR, plate, world
+from twin.accuracy import Decision
 from twin.camera.acquisition import capture
 from twin.fidelity import PRESETS, Fidelity
 from twin.kept_results import KeptResults
@@ -149,15 +152,49 @@ def test_waiting_is_told(tmp_path: Path, monkeypatch) -> None:
 
 
 def test_where_nothing_can_be_kept_all_is_made(tmp_path: Path, monkeypatch) -> None:
-    (tmp_path / "file").touch()
-    assert KeptResults(tmp_path / "file").get("number", (), lambda: 1) == 1
+    """And the store says why: of what is in its way nobody had heard."""
+    file = tmp_path / "file"
+    file.touch()
+    for folder, why in ((file, "File exists"), (file / "below", "Not a directory")):
+        store = KeptResults(folder)
+        assert store.get("number", (), lambda: 1) == 1
+        assert store.problem == f"{folder}: {why}"
     folder = KeptResults(tmp_path / "full")
     with files_up_to(100):
         assert folder.get("bytes", (), lambda: b"." * 1000) == b"." * 1000
+    assert folder.problem.endswith(".pickle: File too large")
     assert not list((tmp_path / "full").glob("*.pickle"))
+    folder.problem = ""
     assert folder.get("bytes", (), lambda: b"other") == b"other"
+    assert folder.problem == ""
     monkeypatch.setattr(os, "getuid", lambda: 12345)  # the folder is somebody else's
     assert folder.get("bytes", (), lambda: b"mine") == b"mine"
+    assert folder.problem == f"{tmp_path / 'full'}: is another user's, or others may write to it"
+
+
+@pytest.mark.parametrize("kind", [".pickle", ".lock"])
+def test_a_folder_in_the_place_of_a_file_is_told(tmp_path: Path, kind: str) -> None:
+    """Each result is made all the same, and the others are kept."""
+    KeptResults(tmp_path).get("one", (), lambda: 1)
+    (file,) = tmp_path.glob(f"one-*{kind}")
+    file.unlink()
+    file.mkdir()
+    store = KeptResults(tmp_path)
+    assert store.get("one", (), lambda: 2) == 2
+    assert store.problem == f"{file}: Is a directory"
+    assert store.get("other", (), lambda: 3) == 3
+    assert store.get("other", (), lambda: 4) == 3
+
+
+def test_a_folder_among_the_results_stops_no_removal(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("twin.kept_results._MOST_BYTES", 2500)
+    (tmp_path / "mine.pickle").mkdir()
+    os.utime(tmp_path / "mine.pickle", (1.0, 1.0))
+    store = KeptResults(tmp_path)
+    for number in range(9):
+        store.get("bytes", (number,), lambda: b"." * 1000)
+    assert len(list(tmp_path.glob("bytes-*.pickle"))) == 2
+    assert store.problem == ""
 
 
 def test_what_making_raises_is_raised_and_nothing_kept(tmp_path: Path) -> None:
@@ -172,6 +209,14 @@ def test_what_making_raises_is_raised_and_nothing_kept(tmp_path: Path) -> None:
     assert store.get("number", (), lambda: 5) == 5
 
 
+def _expect_kept_times(first: Sequence[Decision], again: Sequence[Decision]) -> None:
+    """A time that another run took is told as such; all else of a decision is as it was."""
+    assert any(one.cost for one in first)
+    for made, kept in zip(first, again, strict=True):
+        assert str(kept).replace(" of an earlier run)", ")") == str(made)
+        assert kept.cost == (made.cost and f"{made.cost} of an earlier run")
+
+
 def test_light_is_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
     scene, system = load_scene("crossing"), load_system("workable")
     first = capture(scene, system, seed=3, fidelity=DRAFT, kept=KeptResults(tmp_path))
@@ -182,6 +227,7 @@ def test_light_is_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
     np.testing.assert_array_equal(first.record.counts, again.record.counts)
     np.testing.assert_array_equal(first.cells_e, again.cells_e)
     assert first.warnings == again.warnings
+    _expect_kept_times(first.decisions, again.decisions)
     objects = tuple(replace(item, radar="obstacle") for item in scene.objects)
     rig = replace(scene.rig, radar=Pose((0.0, 0.0, 1.0)))
     unlike = replace(scene, objects=objects, rig=rig, targets=(), track=Track((1.0, 0.0, 0.0), 2))
@@ -245,6 +291,14 @@ def test_echoes_are_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
             radar_capture(seen, radar, seed=1, fidelity=given, kept=store)
 
 
+def test_times_of_kept_echoes_are_of_an_earlier_run(tmp_path: Path) -> None:
+    scene = world(plate("plate", [10.0, 0.0, 0.0]), plate("other", [12.0, 1.0, 0.0]))
+    first, again = (
+        radar_capture(scene, RADAR, seed=1, kept=KeptResults(tmp_path)) for _ in range(2)
+    )
+    _expect_kept_times(first.decisions, again.decisions)
+
+
 def test_seeds_of_rays_count(tmp_path: Path) -> None:
     scene, knobs = world(plate("plate", [10.0, 0.0, 0.0])), Fidelity(radar="paths")
     store = KeptResults(tmp_path)
@@ -291,3 +345,36 @@ def test_a_second_run_takes_both_from_the_first(tmp_path: Path) -> None:
     assert "light" in line
     assert "echoes" in line
     assert "--anew" in line
+
+
+def test_explain_tells_times_of_an_earlier_run(tmp_path: Path) -> None:
+    """They had been told as if this run had taken them."""
+    environment = os.environ | {"UGV_TWIN_CACHE": str(tmp_path / "kept"), "COLUMNS": "200"}
+    out = tmp_path / "out"
+    command = ["-m", "twin", "run", "table1", "--radar", "none", "--explain", "--out", str(out)]
+    for is_second in (False, True):
+        ran = subprocess.run(
+            [sys.executable, *command], check=True, env=environment, capture_output=True, text=True
+        )
+        assert ("s of an earlier run" in ran.stdout) is is_second
+        assert ("s of an earlier run" in (out / "report.html").read_text()) is is_second
+        told = json.loads((out / "summary.json").read_text())["decisions"]
+        assert {one["is_kept"] for one in told} == {is_second}
+
+
+@pytest.mark.parametrize("cores", ["one process", "a helper"])
+def test_a_run_that_can_keep_nothing_says_so_once(tmp_path: Path, cores: str) -> None:
+    """The helper computes the camera, and the command itself the radar."""
+    (tmp_path / "kept").touch()
+    command = ["-m", "twin", "run", "table1", "--fidelity", "draft", "--out", str(tmp_path / "out")]
+    if cores == "one process":
+        command += ["--radar", "none"]
+    ran = subprocess.run(
+        [sys.executable, *command],
+        check=True,
+        env=os.environ | {"UGV_TWIN_CACHE": str(tmp_path / "kept")},
+        capture_output=True,
+        text=True,
+    )
+    told = f"not all light and echoes are kept for later runs: {tmp_path / 'kept'}: File exists; "
+    assert ran.stderr.count(told) == 1

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hardware.formatting import number, si
 
@@ -35,6 +35,8 @@ class Decision:
         The name in ``effect`` of what it is of, where others may have the same effect.
     is_told
         Whether a warning of the same burst says what is left out, with the same figure.
+    is_kept
+        Whether it is of an earlier run, which took the time.
 
     >>> str(Decision("camera", "indirect light", 0.003, 0.02, "of a pixel's noise", False))
     "camera: indirect light: at most 0.003 of a pixel's noise, 0.02 permitted: left out"
@@ -49,18 +51,37 @@ class Decision:
     cost_s: float = math.nan
     body: str = ""
     is_told: bool = False
+    is_kept: bool = False
 
     def __str__(self) -> str:
-        took = f" ({si(self.cost_s, 's')})" if self.cost_s >= 0 else ""
+        took = f" ({self.cost})" if self.cost else ""
         return (
             f"{self.sensor}: {self.effect}: at most {number(self.bound, 2)} {self.unit}, "
             f"{number(self.permitted, 2)} permitted: {'taken' if self.taken else 'left out'}{took}"
         )
 
     @property
+    def cost(self) -> str:
+        """Time in words; empty where it was not measured."""
+        if not self.cost_s >= 0:
+            return ""
+        return si(self.cost_s, "s") + " of an earlier run" * self.is_kept
+
+    @property
     def is_missed(self) -> bool:
         """Whether it is left out although it may change more than is permitted."""
         return not self.taken and self.bound > self.permitted
+
+
+def of_earlier_run(decisions: Iterable[Decision]) -> tuple[Decision, ...]:
+    """Decisions that a kept result brings along: their time is none of this run's.
+
+    >>> taken = Decision("camera", "indirect light", 0.3, 0.02, "of a pixel's noise", True, 1.2)
+    >>> (kept,) = of_earlier_run([taken])
+    >>> kept.cost
+    '1.20 s of an earlier run'
+    """
+    return tuple(replace(decision, is_kept=True) for decision in decisions)
 
 
 def missed_effects(decisions: Iterable[Decision]) -> list[str]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.accuracy import of_earlier_run
 from twin.camera.chain import Chain
 from twin.camera.light import render
 from twin.camera.moving_frame import FrameLight, frame_light, world_in_motion
@@ -69,7 +70,18 @@ def lit_frame(
         return LitFrame(seen, *light())
     of_light = fidelity.part(LightFidelity)
     content = (*_without_echoes(scene), system, of_light, seed.entropy, seed.spawn_key)
-    return LitFrame(seen, *kept.get("light", content, light))
+    return LitFrame(seen, *kept.get("light", content, light, _of_earlier_run))
+
+
+def _of_earlier_run(
+    light: tuple[RenderedLight, FrameLight | None],
+) -> tuple[RenderedLight, FrameLight | None]:
+    rendered, frame = light
+    rendered = replace(rendered, decisions=of_earlier_run(rendered.decisions))
+    if frame is not None:
+        (decision,) = of_earlier_run([frame.decision])
+        frame = replace(frame, decision=decision)
+    return rendered, frame
 
 
 def _without_echoes(scene: Scene) -> tuple[Scene, dict[str, Optical]]:

@@ -112,6 +112,7 @@ def run(
         motion_tolerance=motion_tolerance,
         radar_model=radar_model or None,
     )
+    kept = None if anew else KeptResults.of_user()
     result = run_job(
         scene,
         camera,
@@ -130,8 +131,13 @@ def run(
         detection=detection,
         command=shlex.join(["twin", *sys.argv[1:]]),
         helper=helper,
-        kept=None if anew else KeptResults.of_user(),
+        kept=kept,
     )
+    if kept and kept.problem:
+        say.warn(
+            f"not all light and echoes are kept for later runs: {kept.problem}; the variable "
+            "UGV_TWIN_CACHE names another folder"
+        )
     if result.kept:
         say.line(
             f"{' and '.join(result.kept)}: of an earlier run, with the same scene, sensor and "

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from math import isfinite
 
-from hardware.formatting import number, si
+from hardware.formatting import number
 from twin.accuracy import Decision
 from twin.camera.evaluation import Evaluation
 from twin.radar.evaluation import RadarEvaluation
@@ -31,7 +31,7 @@ def rows(told: Sequence[tuple[str, Decision]]) -> list[tuple[str, ...]]:
             number(decision.permitted, 2),
             decision.unit,
             "yes" if decision.taken else "no",
-            si(decision.cost_s, "s") if decision.cost_s >= 0 else "",
+            decision.cost,
         )
         for name, decision in told
     ]

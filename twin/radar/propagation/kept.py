@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from twin.accuracy import of_earlier_run
 from twin.fidelity import Fidelity, RadarFidelity, own_solver
 from twin.kept_results import KeptResults
 from twin.radar.device.design import RadarDesign
@@ -30,7 +31,13 @@ def kept_interval(
         fidelity.part(RadarFidelity),
         seed if solver_of(fidelity).is_seeded else None,
     )
-    return kept.get("echoes", content, lambda: traced_interval(scene, radar, fidelity, seed))
+    return kept.get(
+        "echoes", content, lambda: traced_interval(scene, radar, fidelity, seed), _of_earlier_run
+    )
+
+
+def _of_earlier_run(echoes: Propagation) -> Propagation:
+    return replace(echoes, decisions=of_earlier_run(echoes.decisions))
 
 
 def _without_light(scene: Scene) -> tuple[Scene, dict[str, tuple[Radio, Surface | None]]]:
