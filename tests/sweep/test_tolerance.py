@@ -240,7 +240,7 @@ def test_what_says_the_accuracy() -> None:
     [
         ({"fidelity.preset": "draft", "fidelity.tolerance": 0.1}, "expected one of them"),
         ({"fidelity.samples": 4, "fidelity.tolerance": 0.1}, "samples: has no effect beside"),
-        ({"fidelity.tolerance": 100.0}, "noise_share: 100.0 is not in 0.0001 to 10"),
+        ({"fidelity.tolerance": 100.0}, "100 of the noise: expected 0.0001 to 10"),
         ({"fidelity.tolerance": "0.1 s"}, "tolerance: '0.1 s'"),
     ],
 )

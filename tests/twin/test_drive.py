@@ -69,7 +69,7 @@ def test_an_accuracy_that_cannot_be_kept_is_refused_with_the_plan() -> None:
         ("fine", "fidelity: 'fine' is none of"),
         (Tolerance(distance_m=1e-6), "cannot be promised"),
         (Tolerance(psnr_db=0.1), "fidelity_for_scores"),
-        ([1], r"tolerance: noise_share: \[1\]"),
+        ([1], r"tolerance: \[1\] of the noise: expected 0.0001 to 10"),
     ):
         with pytest.raises(InputError, match=told):
             plan(fidelity=wrong)

@@ -192,27 +192,31 @@ def test_a_tolerance_of_a_distance_is_that_of_the_steepest_error() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("0.2, 0.3", "noise_share twice"),
+        ("0.2, 0.3", "a share of the noise twice"),
         ("", "tolerance"),
         ("3 V", "2 mm"),
-        ("0,2", "noise_share twice"),
-        ("1000 dB", "echo_db: 1000.0 is not in 0.00869 to 20"),
-        ("200 %", "cell_share: 2.0 is not in 1e-05 to 1"),
-        ("-1 dB", "echo_db: -1"),
+        ("0,2", "a share of the noise twice"),
+        ("1 mm, 2 m", "a distance twice"),
+        ("1000 dB", "1000 dB of an echo: expected 0.00869 to 20"),
+        ("200 %", "200 % of a cell's light: expected 0.001 to 100"),
+        ("-1 dB", "-1 dB of an echo"),
         (",", "expected a share"),
         (0.2, "is no text"),
-        ("0 mm", "distance_m: 0"),
-        ("1e-9", "noise_share: 1e-09 is not in 0.0001 to 10"),
+        ("0 mm", "0 m of a distance: expected above 0"),
+        ("1e-9", "1e-09 of the noise: expected 0.0001 to 10"),
     ],
 )
 def test_a_wrong_tolerance_is_named(text: str, said: str) -> None:
     with pytest.raises(InputError, match="tolerance") as told:
         Tolerance.of(text)
     assert said in str(told.value)
+    assert not any(
+        field.name in str(told.value) for field in fields(Tolerance) if "_" in field.name
+    )
 
 
 def test_what_no_knob_promises_of_a_radar_is_refused() -> None:
-    with pytest.raises(InputError, match=r"cannot be promised"):
+    with pytest.raises(InputError, match=r"0\.001 of the noise asks for .* cannot be promised"):
         Tolerance(0.001).knobs(bandwidth_hz=1e9)
     assert Tolerance(0.001).knobs().light_tolerance == 0.001  # of light it can
     assert Tolerance(1e-4).knobs().motion_tolerance == 1e-4  # the least that one takes

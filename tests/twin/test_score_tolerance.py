@@ -71,13 +71,13 @@ def test_both_scores_are_asked_for_by_the_command() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("PSNR 0 dB", "psnr_db: 0.0 is not in 0.001 to 20"),
-        ("PSNR -1 dB", "psnr_db: -1.0 is not"),
-        ("SSIM 2", "ssim: 2.0 is not in 0.0001 to 1"),
+        ("PSNR 0 dB", "PSNR 0 dB: expected 0.001 to 20"),
+        ("PSNR -1 dB", "PSNR -1 dB: expected 0.001 to 20"),
+        ("SSIM 2", "SSIM 2: expected 0.0001 to 1"),
         ("PSNR 3", "expected a share of the noise"),
         ("PSNR", "expected a share of the noise"),
         ("SSIM 0.1 dB", "expected a share of the noise"),
-        ("PSNR 1 dB, PSNR 2 dB", "psnr_db twice"),
+        ("PSNR 1 dB, PSNR 2 dB", "PSNR twice"),
         ("PSNR 1 dB, 1 %", "expected cells or a score, not both"),
     ],
 )

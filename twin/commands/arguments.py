@@ -89,6 +89,17 @@ def named_knobs(motion_tolerance: str | None, radar_model: str | None) -> dict[s
     return named
 
 
+def tolerance_of(asked: str | None) -> "Tolerance | None":
+    """The option `--tolerance`. Raises InputError that names it."""
+    from twin.errors import InputError
+    from twin.fidelity import Tolerance
+
+    try:
+        return None if asked is None else Tolerance.of(asked)
+    except InputError as error:
+        raise InputError(f"--{error}") from None
+
+
 def knobs_asked(
     say: Output,
     load: "Callable[[], Scene]",
@@ -105,13 +116,13 @@ def knobs_asked(
     scene that ``load`` gives, with the tolerance of motion and the radar's model that are named,
     and printed. Raises InputError.
     """
-    from twin.fidelity import Tolerance, knobs_of
+    from twin.fidelity import knobs_of
 
     only_one(fidelity, tolerance, within)
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
     fixed = named_knobs(motion_tolerance, radar_model)
     if within is None:
-        asked = None if tolerance is None else Tolerance.of(tolerance)
+        asked = tolerance_of(tolerance)
         if asked is not None:
             asked.check_sensors(camera=system is not None, radar=radar is not None)
             if asked.of_scores:
@@ -124,9 +135,7 @@ def knobs_asked(
 
 def scores_asked(tolerance: str | None) -> "Tolerance | None":
     """The option where it asks for scores, else None."""
-    from twin.fidelity import Tolerance
-
-    asked = None if tolerance is None else Tolerance.of(tolerance)
+    asked = tolerance_of(tolerance)
     return asked if asked and asked.of_scores else None
 
 

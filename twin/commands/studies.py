@@ -22,6 +22,7 @@ from twin.commands.arguments import (
     knobs_within,
     only_one,
     scores_asked,
+    tolerance_of,
 )
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _accuracy_asked(
     for which its light is rendered, unless the folder has it; what a score takes is looked for
     there each time, and is the same each time.
     """
-    from twin.fidelity import DEFAULT_SHARE, Tolerance
+    from twin.fidelity import DEFAULT_SHARE
     from twin.sweep.accuracy import named_in, with_accuracy
     from twin.sweep.inputs import inputs_of
     from twin.sweep.plan import stored_accuracy
@@ -148,7 +149,7 @@ def _accuracy_asked(
     from twin.sweep.shared_light import strictest_sharing
 
     only_one(fidelity, tolerance, within)
-    asked = None if tolerance is None else Tolerance.of(tolerance)
+    asked = tolerance_of(tolerance)
     of_score = scores_asked(tolerance)
     if within is None and of_score is None:
         return asked or fidelity
@@ -391,7 +392,7 @@ def trade(
 
     if tolerance is not None and within is not None:
         raise InputError("--tolerance, --within: expected one of them")
-    asked = Tolerance() if tolerance is None else Tolerance.of(tolerance)
+    asked = tolerance_of(tolerance) or Tolerance()
     if not say.verbose:
         say.line("note: every level is computed several times, which takes minutes; -v tells each")
     found, folder = run_trade(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from hardware.units import quantity
 from twin.errors import InputError
@@ -19,6 +20,15 @@ _LIMITS = {
     "distance_m": (0.0, math.inf),
     "psnr_db": (1e-3, 20.0),
     "ssim": (1e-4, 1.0),
+}
+#: What each is called where it is asked for, and how an amount of it is told.
+_WORDS = {
+    "noise_share": ("a share of the noise", "{} of the noise"),
+    "cell_share": ("a share of a cell's light", "{} % of a cell's light"),
+    "echo_db": ("a level of an echo", "{} dB of an echo"),
+    "distance_m": ("a distance", "{} m of a distance"),
+    "psnr_db": ("PSNR", "PSNR {} dB"),
+    "ssim": ("SSIM", "SSIM {}"),
 }
 _SCORES = {"psnr": "psnr_db", "ssim": "ssim"}
 _EXPECTED = (
@@ -77,8 +87,9 @@ class Tolerance:
             if value is None and name != "noise_share":
                 continue
             if not is_number(value) or not low <= value <= high or value in (0, math.inf):
-                within = f"in {low:.3g} to {high:.3g}" if high < math.inf else "above 0"
-                raise InputError(f"tolerance: {name}: {value!r:.60} is not {within}")
+                low, high = (_in_its_unit(name, limit) for limit in (low, high))
+                within = f"{low:.3g} to {high:.3g}" if high < math.inf else "above 0"
+                raise InputError(f"tolerance: {_told(name, value)}: expected {within}")
         if self.of_scores and self.cell_share is not None:
             raise InputError(f"tolerance: {self}: expected cells or a score, not both")
 
@@ -105,7 +116,7 @@ class Tolerance:
             except InputError:
                 raise InputError(f"tolerance: {text!r:.60}: {_EXPECTED}") from None
             if name in given:
-                raise InputError(f"tolerance: {text!r:.60}: {name} twice; {_EXPECTED}")
+                raise InputError(f"tolerance: {text!r:.60}: {_WORDS[name][0]} twice; {_EXPECTED}")
             given[name] = value
         return cls(**given)
 
@@ -190,10 +201,21 @@ class Tolerance:
         asked = min(errors, key=errors.__getitem__)
         if bandwidth_hz and errors[asked] < low:
             raise InputError(
-                f"tolerance: {asked} = {getattr(self, asked):g} asks for echoes to "
+                f"tolerance: {_told(asked, getattr(self, asked))} asks for echoes to "
                 f"{errors[asked]:.2g} of themselves; less than {low:g} cannot be promised"
             )
         return min(max(errors[asked], low), high)
+
+
+def _in_its_unit(name: str, value: float) -> float:
+    """As it is asked for: of a cell's light in per cent."""
+    return 100 * value if name == "cell_share" else value
+
+
+def _told(name: str, value: Any) -> str:
+    """An amount in the words in which it is asked for."""
+    amount = f"{_in_its_unit(name, value):g}" if is_number(value) else f"{value!r:.60}"
+    return _WORDS[name][1].format(amount)
 
 
 def _start(item: str) -> int:
