@@ -127,15 +127,22 @@ def welded(points: Array, faces: Faces, first_vertex: Indices) -> Faces:
 
 def doubles(faces: Faces) -> NDArray[np.bool_]:
     """Faces with the same corners as one before them, (m,)."""
+    return first_alike(faces) != np.arange(len(faces))
+
+
+def first_alike(faces: Faces) -> Indices:
+    """Of each face the first one with the same corners, itself where there is none before, (m,)."""
     corners = np.sort(faces, axis=1)
-    found = np.zeros(len(faces), dtype=bool)
+    first = np.arange(len(faces))
     # One number for each face's corners: few of different corners share theirs.
     keys = corners.astype(np.uint64) @ _MIX
     ordered = np.sort(keys)
     same = ordered[1:] == ordered[:-1]
     if not same.any():
-        return found
+        return first
     some = np.flatnonzero(np.isin(keys, ordered[1:][same]))
     order = some[np.lexsort(corners[some].T)]  # stable: of equal ones the first comes first
-    found[order[1:]] = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
-    return found
+    is_new = np.ones(len(order), dtype=bool)
+    is_new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    first[order] = order[is_new][np.cumsum(is_new) - 1]
+    return first

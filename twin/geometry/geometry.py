@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hardware.described import Described
 from hardware.read_only import cached_read_only
 from twin.errors import InputError
-from twin.geometry.edges import EdgeTable, connected, edge_table, welded
+from twin.geometry.edges import EdgeTable, connected, edge_table, first_alike, welded
 from twin.geometry.faces import areas, normals
 from twin.geometry.shape import Shape, shapes_of
 
@@ -152,11 +152,15 @@ class Geometry(Described):
 
     @cached_read_only
     def parts(self) -> NDArray[np.int64]:
-        """Number of the part that each face belongs to, (m,): what hangs together by corners."""
-        faces = self.welded_faces
-        links = np.concatenate([faces[:, :2], faces[:, 1:]])
-        of_face = connected(links, len(self.vertices_m))[faces[:, 0]]
-        return np.unique(of_face, return_inverse=True)[1].reshape(-1)
+        """Number of the part that each face belongs to, (m,), -1 of one without an area: what hangs
+        together by edges of two faces. What stands on a surface meets it in edges of more.
+        """
+        first, has_area = first_alike(self.welded_faces), self.areas_m2 > 0
+        rows = np.flatnonzero(has_area & (first == np.arange(len(first))))
+        pairs = edge_table(self.welded_faces[rows]).neighbours
+        part = np.full(len(first), -1, dtype=np.int64)
+        part[rows] = connected(pairs, len(rows))
+        return np.where(has_area, part[first], -1)
 
     @cached_property
     def merged(self) -> Any:

@@ -51,6 +51,8 @@ from twin.radar.propagation.roughness import (
 )
 from twin.radar.propagation.scene.image_search import FURTHER, MANY_IMAGES
 from twin.radar.propagation.scene.images import Image
+from twin.radar.propagation.scene.parts import silent_parts
+from twin.radar.propagation.scene.parts_in_line import parts_in_line
 from twin.radar.propagation.scene.scattering_models import (
     Assignment,
     ScatteringModel,
@@ -185,6 +187,8 @@ def echoes(
         heard=_heard(every.take(slice(len(names), None)), prepared, radar),
         warnings=(
             *silent_objects(scene, radar, roles),
+            *silent_parts(scene, radar),
+            *parts_in_line(prepared, body, levels.names, fidelity),
             *absorbing_surfaces(scene, radar, rough),
             *smooth_surfaces(scene, radar, roles, fidelity),
             *mirrors[2],

@@ -1,15 +1,19 @@
-"""What stands in one mesh with a large surface: an object of its own to the radar.
+"""What stands in one mesh with a large surface: objects of their own to the radar.
 
 An object has one role. Without this, whatever a modelling program joined with the ground, a box or
 a pole, would be silent: a large surface mirrors by its large flat patches alone.
 """
 
+from collections.abc import Container
 from dataclasses import replace
 from functools import lru_cache
+from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twin.geometry import Geometry
+from twin.geometry import Geometry, connected
+from twin.geometry.near_boxes import near_pairs
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.scene.scattering_models import (
     LARGE_BESIDE_OPTICS,
@@ -20,36 +24,67 @@ from twin.radar.propagation.scene.scattering_models import (
 from twin.scene import Scene, SceneObject
 from twin.scene.boxes import boxes_of, distances_m
 
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 _IN_PLANE_M = 1e-4
 _MOST_PLANES = 64  # a mesh of more is no ground or wall with things on it
+_MOST_OBJECTS = 256  # where there are more that do not touch, all are one
 
 
 def parted(scene: Scene, radar: RadarDesign) -> Scene:
-    """The scene with such parts as objects ``NAME (other parts)``, all of a large surface's
-    together: what hangs together by common corners and has no large flat patch. The same scene
-    where there are none. What the scene declares to be a surface is left whole.
+    """The scene with such parts as objects ``NAME (other parts)``, or ``NAME (other part 1)`` and
+    so on where some do not touch: what hangs together by edges of two faces and has no large flat
+    patch. The same scene where there are none. What the scene declares to be a surface, or to
+    scatter, is left whole.
     """
-    wavelength_m = radar.ofdm.wavelength_m
-    place_m = scene.rig.position_m + scene.rig.device("radar")[0]
-    near_m = np.maximum(distances_m(boxes_of(scene.objects), place_m), wavelength_m)
+    taken = {item.name for item in scene.objects}
     objects: list[SceneObject] = []
-    for item, distance_m in zip(scene.objects, near_m.tolist(), strict=True):
-        split = None
-        if item.radar is None and _may_have_parts(item, distance_m, wavelength_m):
-            x, y, z = item.pose.inv().apply(place_m).tolist()
-            split = _apart(item.geometry, (x, y, z), wavelength_m)
-        if split is None:
+    for item in scene.objects:
+        pieces = _pieces(item, scene, radar) if item.radar in (None, "table") else None
+        if pieces is None:
             objects.append(item)
         else:
-            names = item.name, f"{item.name} (other parts)"
-            objects += map(_part, (item, item), names, split)
-    return replace(scene, objects=tuple(objects)) if len(objects) > len(near_m) else scene
+            names = [item.name, *_names(item.name, len(pieces) - 1, taken)]
+            objects += map(_part, [item] * len(pieces), names, pieces)
+    return replace(scene, objects=tuple(objects)) if len(objects) > len(taken) else scene
 
 
-def _may_have_parts(item: SceneObject, distance_m: float, wavelength_m: float) -> bool:
-    """Whether it is a large surface that does not hang together."""
-    role = role_by_size(item.geometry.shape, distance_m, wavelength_m)
-    return role is ScatteringModel.SURFACE and bool(item.geometry.parts.any())
+def silent_parts(scene: Scene, radar: RadarDesign) -> tuple[str, ...]:
+    """Warnings of what stands in one mesh with a declared surface, and has no echo."""
+    declared = [item for item in scene.objects if item.radar == "surface"]
+    return tuple(
+        f"{item.name}: declared to be a surface, so that {len(pieces) - 1} part(s) of its mesh "
+        "that stand on it have no echo but that of flat sides of three Fresnel zones: without "
+        f'radar = "surface" under [objects.{item.name}] they are objects of their own'
+        for item in declared
+        if (pieces := _pieces(item, scene, radar)) is not None
+    )
+
+
+def _pieces(item: SceneObject, scene: Scene, radar: RadarDesign) -> tuple[Geometry, ...] | None:
+    """As of `_apart`, of a large surface that does not hang together."""
+    wavelength_m = radar.ofdm.wavelength_m
+    place_m = scene.rig.position_m + scene.rig.device("radar")[0]
+    near_m = max(float(distances_m(boxes_of([item]), place_m)[0]), wavelength_m)
+    if role_by_size(item.geometry.shape, near_m, wavelength_m) is not ScatteringModel.SURFACE:
+        return None
+    if not item.geometry.parts.any():
+        return None
+    x, y, z = item.pose.inv().apply(place_m).tolist()
+    return _apart(item.geometry, (x, y, z), wavelength_m)
+
+
+def _names(name: str, parts: int, taken: Container[str]) -> list[str]:
+    """Of parts of an object, unlike those of the scene's objects."""
+    for number in count(1):
+        again = "" if number == 1 else f" ({number})"
+        names = [f"{name} (other part {n}){again}" for n in range(1, parts + 1)]
+        if parts == 1:
+            names = [f"{name} (other parts){again}"]
+        if not any(one in taken for one in names):
+            break
+    return names
 
 
 def _part(item: SceneObject, name: str, geometry: Geometry) -> SceneObject:
@@ -60,38 +95,70 @@ def _part(item: SceneObject, name: str, geometry: Geometry) -> SceneObject:
 @lru_cache(maxsize=32)
 def _apart(
     geometry: Geometry, place_m: tuple[float, float, float], wavelength_m: float
-) -> tuple[Geometry, Geometry] | None:
-    """The parts of a mesh with a patch that is large at its distance from a place, and all others;
-    None where there are no others that could scatter.
+) -> tuple[Geometry, ...] | None:
+    """The parts of a mesh with a patch that is large at its distance from a place, and all others,
+    those that touch as one; None where there are no others that could scatter.
     """
-    shape, part = geometry.shape, geometry.parts
-    order, by_patch = (np.argsort(x, kind="stable") for x in (part, shape.patch_of_face))
-    count = int(part.max()) + 1
-    first = np.searchsorted(part[order], np.arange(count))
-    points = geometry.corners_m[order]
-    low, high = (
-        end.reduceat(by_face, first)
-        for end, by_face in ((np.minimum, points.min(axis=1)), (np.maximum, points.max(axis=1)))
-    )
-    near_m = distances_m(np.stack([low, high], axis=1), np.array(place_m))
+    is_other = _others(geometry, place_m, wavelength_m)
+    if is_other is None:
+        return None
+    groups = [np.flatnonzero(is_other)[rows] for rows in _touching(geometry, is_other)]
+    pieces = [_piece(geometry, rows) for rows in groups]
+    large = [piece.shape.size_m >= SMALLEST * wavelength_m for piece in pieces]
+    for rows, is_large in zip(groups, large, strict=True):
+        is_other[rows] = is_large
+    if not is_other.any():
+        return None
+    found = [piece for piece, is_large in zip(pieces, large, strict=True) if is_large]
+    if len(found) > _MOST_OBJECTS:
+        found = [_piece(geometry, np.flatnonzero(is_other))]
+    return _piece(geometry, np.flatnonzero(~is_other)), *found
+
+
+def _piece(geometry: Geometry, faces: Indices) -> Geometry:
+    return Geometry(geometry.vertices_m, geometry.faces[faces], geometry.uv)
+
+
+def _touching(geometry: Geometry, some: NDArray[np.bool_]) -> list[Indices]:
+    """Of some faces those whose parts touch, by their boxes, as one: numbers among these faces."""
+    part = np.unique(geometry.parts[some], return_inverse=True)[1]
+    boxes = boxes_of_parts(geometry.corners_m[some], part)
+    group = connected(near_pairs(boxes)[0], len(boxes))[part]
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+
+
+def boxes_of_parts(points: Array, part: NDArray[np.integer]) -> Array:
+    """Boxes (n_parts, 2, 3) around points (n, k, 3) of parts from 0 on."""
+    low, high = np.full((2, int(part.max()) + 1, 3), np.inf)
+    np.minimum.at(low, part, points.min(axis=1))
+    np.minimum.at(high, part, -points.max(axis=1))
+    return np.stack([low, -high], axis=1)
+
+
+def _others(
+    geometry: Geometry, place_m: tuple[float, float, float], wavelength_m: float
+) -> NDArray[np.bool_] | None:
+    """Faces of parts without a large patch, (m,)."""
+    shape, has_area = geometry.shape, geometry.parts >= 0
+    part, points = geometry.parts[has_area], geometry.corners_m[has_area]
+    patch, by_patch = shape.patch_of_face, np.argsort(shape.patch_of_face, kind="stable")
+    near_m = distances_m(boxes_of_parts(points, part), np.array(place_m))
     least_m2 = LARGE_BESIDE_OPTICS**2 * wavelength_m * np.maximum(near_m, wavelength_m)
-    patch_m2 = np.maximum.reduceat(shape.patch_area_m2[shape.patch_of_face][order], first)
+    patch_m2 = np.zeros(len(least_m2))
+    np.maximum.at(patch_m2, part, shape.patch_area_m2[patch[has_area]])
     is_large = patch_m2 >= least_m2
-    planes = np.unique(shape.patch_of_face[is_large[part]])
+    planes = np.unique(patch[has_area][is_large[part]])
     planes = planes[shape.patch_area_m2[planes] >= least_m2.min()]
     if len(planes) > _MOST_PLANES:
         return None
     # The bottom of what stands on the ground is in its plane; of a pavement's slabs all is.
-    in_plane = np.zeros(count, dtype=bool)
-    for face in np.searchsorted(shape.patch_of_face, planes, sorter=by_patch).tolist():
+    in_plane = np.zeros(len(near_m), dtype=bool)
+    for face in np.searchsorted(patch, planes, sorter=by_patch).tolist():
         normal, corner = geometry.normals[by_patch[face]], geometry.corners_m[by_patch[face], 0]
-        off_m = np.abs((points - corner) @ normal).max(axis=1)
-        in_plane |= np.maximum.reduceat(off_m, first) < _IN_PLANE_M
-    is_other = ~(is_large | in_plane)[part]
-    if is_other.all() or not is_other.any():
-        return None
-    surface, others = (
-        Geometry(geometry.vertices_m, geometry.faces[which], geometry.uv)
-        for which in (~is_other, is_other)
-    )
-    return (surface, others) if others.shape.size_m >= SMALLEST * wavelength_m else None
+        off_m = np.zeros(len(near_m))
+        np.maximum.at(off_m, part, np.abs((points - corner) @ normal).max(axis=1))
+        in_plane |= off_m < _IN_PLANE_M
+    is_other = np.zeros(len(has_area), dtype=bool)
+    is_other[has_area] = ~(is_large | in_plane)[part]
+    return is_other if is_other.any() and not is_other.all() else None
