@@ -155,12 +155,16 @@ class Geometry(Described):
         """Number of the part that each face belongs to, (m,), -1 of one without an area: what hangs
         together by edges of two faces. What stands on a surface meets it in edges of more.
         """
-        first, has_area = first_alike(self.welded_faces), self.areas_m2 > 0
-        rows = np.flatnonzero(has_area & (first == np.arange(len(first))))
-        pairs = edge_table(self.welded_faces[rows]).neighbours
-        part = np.full(len(first), -1, dtype=np.int64)
-        part[rows] = connected(pairs, len(rows))
-        return np.where(has_area, part[first], -1)
+        a, b, c = (self.vertices_m[self.welded_faces[:, i]] for i in range(3))
+        rows = np.flatnonzero((np.cross(b - a, c - a) != 0).any(axis=1))  # as of `edges`
+        table, first = self.edges, np.arange(len(rows))
+        if (table.count > 2).any():
+            first = first_alike(table.faces)
+            table = edge_table(table.faces[np.unique(first)])
+        part = np.full(len(self.faces), -1, dtype=np.int64)
+        of_first = connected(table.neighbours, len(table.faces))
+        part[rows] = of_first[np.unique(first, return_inverse=True)[1]]
+        return part
 
     @cached_property
     def merged(self) -> Any:

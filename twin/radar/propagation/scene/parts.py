@@ -4,7 +4,7 @@ An object has one role. Without this, whatever a modelling program joined with t
 a pole, would be silent: a large surface mirrors by its large flat patches alone.
 """
 
-from collections.abc import Container
+from collections.abc import Collection, Container
 from dataclasses import replace
 from functools import lru_cache
 from itertools import count
@@ -39,10 +39,10 @@ def parted(scene: Scene, radar: RadarDesign) -> Scene:
     scatter, is left whole.
     """
     taken = {item.name for item in scene.objects}
+    of_items = _pieces(scene, radar, (None, "table"))
     objects: list[SceneObject] = []
     for item in scene.objects:
-        pieces = _pieces(item, scene, radar) if item.radar in (None, "table") else None
-        if pieces is None:
+        if (pieces := of_items.get(item.name)) is None:
             objects.append(item)
         else:
             names = [item.name, *_names(item.name, len(pieces) - 1, taken)]
@@ -52,27 +52,39 @@ def parted(scene: Scene, radar: RadarDesign) -> Scene:
 
 def silent_parts(scene: Scene, radar: RadarDesign) -> tuple[str, ...]:
     """Warnings of what stands in one mesh with a declared surface, and has no echo."""
-    declared = [item for item in scene.objects if item.radar == "surface"]
     return tuple(
-        f"{item.name}: declared to be a surface, so that {len(pieces) - 1} part(s) of its mesh "
-        "that stand on it have no echo but that of flat sides of three Fresnel zones: without "
-        f'radar = "surface" under [objects.{item.name}] they are objects of their own'
-        for item in declared
-        if (pieces := _pieces(item, scene, radar)) is not None
+        f"{name}: declared to be a surface, so that {len(pieces) - 1} part(s) of its mesh that "
+        "stand on it have no echo but that of flat sides of three Fresnel zones: without "
+        f'radar = "surface" under [objects.{name}] they are objects of their own'
+        for name, pieces in _pieces(scene, radar, ("surface",)).items()
     )
 
 
-def _pieces(item: SceneObject, scene: Scene, radar: RadarDesign) -> tuple[Geometry, ...] | None:
-    """As of `_apart`, of a large surface that does not hang together."""
+def _pieces(
+    scene: Scene, radar: RadarDesign, declared: Collection[str | None]
+) -> dict[str, tuple[Geometry, ...]]:
+    """By names of objects that are ``declared`` so, of large surfaces alone, as of `_apart`."""
     wavelength_m = radar.ofdm.wavelength_m
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
-    near_m = max(float(distances_m(boxes_of([item]), place_m)[0]), wavelength_m)
-    if role_by_size(item.geometry.shape, near_m, wavelength_m) is not ScatteringModel.SURFACE:
-        return None
-    if not item.geometry.parts.any():
-        return None
-    x, y, z = item.pose.inv().apply(place_m).tolist()
-    return _apart(item.geometry, (x, y, z), wavelength_m)
+    near_m = np.maximum(distances_m(boxes_of(scene.objects), place_m), wavelength_m)
+    found = {}
+    for item, distance_m in zip(scene.objects, near_m.tolist(), strict=True):
+        if item.radar in declared and _may_have_parts(item.geometry, distance_m, wavelength_m):
+            x, y, z = item.pose.inv().apply(place_m).tolist()
+            pieces = _apart(item.geometry, (x, y, z), wavelength_m)
+            if pieces is not None:
+                found[item.name] = pieces
+    return found
+
+
+def _may_have_parts(geometry: Geometry, distance_m: float, wavelength_m: float) -> bool:
+    """Whether it is a large surface with small sides that does not hang together."""
+    shape = geometry.shape
+    if role_by_size(shape, distance_m, wavelength_m) is not ScatteringModel.SURFACE:
+        return False
+    farthest_m = distance_m + 2 * geometry.sphere[1]
+    has_small = shape.patch_area_m2.min() < LARGE_BESIDE_OPTICS**2 * wavelength_m * farthest_m
+    return bool(has_small and geometry.parts.any())
 
 
 def _names(name: str, parts: int, taken: Container[str]) -> list[str]:
