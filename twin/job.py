@@ -22,7 +22,7 @@ from twin.camera.view import View, render_view
 from twin.child_process import Helper
 from twin.engine import use_cores
 from twin.errors import check_seed
-from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of
+from twin.fidelity import Accuracy, Fidelity, Tolerance, knobs_of_sensors
 from twin.files import InputError, check_out
 from twin.kept_results import KeptResults
 from twin.progress import Stages, StageTimes
@@ -137,7 +137,8 @@ def run(
     check_seed(seed)
     solve = None if method is None else method_of(method)
     how = Processing(detection=detection)
-    knobs = knobs_of(fidelity, design.total_bandwidth_hz if design else None)
+    bandwidth_hz = design.total_bandwidth_hz if design else None
+    knobs = knobs_of_sensors(fidelity, camera=bool(systems), bandwidth_hz=bandwidth_hz)
     with Stages(len(stage_names(systems, design, figures=figures))) as stages:
         with stages.stage("load"):
             world = load_scene(scene, pose)

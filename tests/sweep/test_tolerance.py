@@ -249,6 +249,28 @@ def test_what_no_accuracy_can_be_is_told(said: dict, complaint: str) -> None:
         Study(name="s", metrics=["psnr_db"], set=said)
 
 
+@pytest.mark.parametrize("asked", ["0.1, 0.5 dB", "2 mm"])
+def test_an_error_of_the_radar_is_refused_where_no_metric_looks_at_it(
+    study, tmp_path: Path, asked: str
+) -> None:
+    """Before any work, whether the study sets it, varies it, or is asked for it."""
+    lens, out = '[grid]\n"system.optics.f_number" = [1.0, 2.0]\n', tmp_path / "out"
+    said = f'"fidelity.tolerance" = "{asked}"\n'
+    varied = f'{lens}"fidelity.tolerance" = ["0.1", "{asked}"]\n'
+    refused = r"looks at the radar: tolerance: .* without a radar"
+    for path, fidelity in (
+        (study(lens, HEAD + said), None),
+        (study(varied, HEAD, name="varied"), None),
+        (study(lens, HEAD, name="plain"), Tolerance.of(asked)),
+    ):
+        with pytest.raises(InputError, match=refused) as told:
+            run_sweep(path, out=out, workers=0, fidelity=fidelity)
+        assert str(told.value).startswith(f"{path}: fidelity.tolerance = '")
+    command = ["sweep", str(study(lens, HEAD)), "--out", str(out), "--tolerance", asked]
+    assert "without a radar" in str(CliRunner().invoke(app, command).exception)
+    assert not out.exists()
+
+
 def test_what_is_asked_for_takes_the_place_of_what_the_study_sets(study, tmp_path: Path) -> None:
     """Not of its knobs, and not of what it varies; another one does not go on in a folder."""
     head = HEAD + '"fidelity.preset" = "standard"\n"fidelity.noise" = "none"\n'

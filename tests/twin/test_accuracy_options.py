@@ -14,7 +14,10 @@ from tests.physics.test_missed_effects import missed
 from twin import cli
 from twin.camera import capture
 from twin.drive import Drive, drive
+from twin.errors import InputError
 from twin.fidelity import Fidelity, Tolerance
+from twin.job import run
+from twin.radar import load_radar
 from twin.scene import load_scene
 from twin.serve.serving import ServedDevice
 from twin.system import load_system
@@ -168,6 +171,36 @@ def test_an_error_of_a_sensor_that_there_is_not_is_one_line(
     assert told in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("system", "radar", "asked", "told"),
+    [
+        ("lidar-scan", None, "2 mm", "without a radar"),
+        ("workable", None, "0.1, 0.5 dB", "0.5 dB of an echo, without a radar"),
+        (None, "hybrid-79", "1 %", "1 % of a cell's light, without a camera"),
+        (None, "hybrid-79", "SSIM 0.01", "a score of an image, without a camera"),
+    ],
+)
+def test_python_refuses_it_as_the_command_does(
+    tmp_path: Path, system: str | None, radar: str | None, asked: str, told: str
+) -> None:
+    """A capture, of one sensor, takes of a tolerance what is of that sensor."""
+    tolerance, scene = Tolerance.of(asked), load_scene("table1")
+    with pytest.raises(InputError, match=told):
+        run(scene, system, radar=radar, fidelity=tolerance, out=tmp_path / "out")
+    with pytest.raises(InputError, match=told):
+        Drive(
+            scene=scene,
+            system=load_system(system) if system else None,
+            radar=load_radar(radar) if radar else None,
+            duration_s=0.1,
+            fidelity=tolerance,
+        )
+    assert list(tmp_path.iterdir()) == []
+    if system == "workable":
+        design = small(tmp_path)
+        np.testing.assert_array_equal(counts(design, tolerance), counts(design, Tolerance(0.1)))
 
 
 @pytest.mark.parametrize(

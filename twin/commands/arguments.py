@@ -116,19 +116,20 @@ def knobs_asked(
     scene that ``load`` gives, with the tolerance of motion and the radar's model that are named,
     and printed. Raises InputError.
     """
-    from twin.fidelity import knobs_of
+    from twin.fidelity import knobs_of_sensors
 
     only_one(fidelity, tolerance, within)
     bandwidth_hz = radar.total_bandwidth_hz if radar else None
     fixed = named_knobs(motion_tolerance, radar_model)
     if within is None:
         asked = tolerance_of(tolerance)
-        if asked is not None:
+        if asked is not None and asked.of_scores:
             asked.check_sensors(camera=system is not None, radar=radar is not None)
-            if asked.of_scores:
-                assert system is not None
-                return knobs_for_scores(say, load, asked, system, fixed, bandwidth_hz)
-        knobs = knobs_of(asked if fidelity is None else fidelity, bandwidth_hz)
+            assert system is not None
+            return knobs_for_scores(say, load, asked, system, fixed, bandwidth_hz)
+        accuracy = asked if fidelity is None else fidelity
+        has_camera = system is not None
+        knobs = knobs_of_sensors(accuracy, camera=has_camera, bandwidth_hz=bandwidth_hz)
         return knobs.with_(fixed)
     return knobs_within(say, load, system, radar, within, fixed)
 

@@ -11,7 +11,7 @@ from twin.camera.stream import moves
 from twin.digest import digest, source_digest, versions
 from twin.drive.clocks import DeviceClock
 from twin.errors import InputError, check_seed
-from twin.fidelity import Accuracy, Fidelity, knobs_of
+from twin.fidelity import Accuracy, Fidelity, knobs_of_sensors
 from twin.radar import RadarDesign
 from twin.scene import Scene
 from twin.system import System
@@ -109,7 +109,11 @@ class Drive:
     @cached_property
     def knobs(self) -> Fidelity:
         """Of both sensors, as the accuracy and the radar's bandwidth ask for."""
-        return knobs_of(self.fidelity, self.radar.total_bandwidth_hz if self.radar else None)
+        return knobs_of_sensors(
+            self.fidelity,
+            camera=self.system is not None,
+            bandwidth_hz=self.radar.total_bandwidth_hz if self.radar else None,
+        )
 
     @property
     def moves(self) -> bool:

@@ -9,7 +9,14 @@ from twin.fidelity.knobs import REPLACED
 from twin.fidelity.light import LightFidelity, Noise, Start
 from twin.fidelity.presets import PRESETS, Fidelity
 from twin.fidelity.radar import RadarFidelity, RadarModel, own_solver
-from twin.fidelity.tolerance import DEFAULT, DEFAULT_SHARE, Accuracy, Tolerance, knobs_of
+from twin.fidelity.tolerance import (
+    DEFAULT,
+    DEFAULT_SHARE,
+    Accuracy,
+    Tolerance,
+    knobs_of,
+    knobs_of_sensors,
+)
 
 __all__ = [
     "DEFAULT",
@@ -25,5 +32,6 @@ __all__ = [
     "Start",
     "Tolerance",
     "knobs_of",
+    "knobs_of_sensors",
     "own_solver",
 ]

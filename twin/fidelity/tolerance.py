@@ -246,7 +246,8 @@ Accuracy = Fidelity | Tolerance | str | float
 
 def knobs_of(accuracy: Accuracy | None, bandwidth_hz: float | None = None) -> Fidelity:
     """Knobs: those given, those of a preset by name, those that a tolerance asks for, a number
-    being a share of the sensors' noise; or `DEFAULT`.
+    being a share of the sensors' noise; or `DEFAULT`. What a tolerance says of another sensor is
+    left aside, so that `twin.capture` and `twin.radar_capture` can take the same one.
 
     Raises InputError for a name that is none, and as `Tolerance.knobs` does.
     """
@@ -260,3 +261,20 @@ def knobs_of(accuracy: Accuracy | None, bandwidth_hz: float | None = None) -> Fi
         return DEFAULT
     asked = accuracy if isinstance(accuracy, Tolerance) else Tolerance(accuracy)
     return asked.knobs(bandwidth_hz)
+
+
+def knobs_of_sensors(
+    accuracy: Accuracy | None, *, camera: bool, bandwidth_hz: float | None
+) -> Fidelity:
+    """Knobs of all sensors that there are, as `knobs_of`; ``bandwidth_hz`` is the radar's, None
+    without one.
+
+    Raises InputError as `knobs_of` and `Tolerance.check_sensors` do.
+
+    >>> knobs_of_sensors(Tolerance.of("0.5 dB"), camera=True, bandwidth_hz=None)
+    Traceback (most recent call last):
+    hardware.errors.InputError: tolerance: 0.5 dB of an echo, without a radar
+    """
+    if isinstance(accuracy, Tolerance):
+        accuracy.check_sensors(camera=camera, radar=bandwidth_hz is not None)
+    return knobs_of(accuracy, bandwidth_hz)

@@ -5,9 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from twin.fidelity import Tolerance
 from twin.files import InputError
 from twin.own_parts import own_part
 from twin.radar.device.design import RadarDesign
+from twin.sweep.accuracy_names import TOLERANCE
 from twin.sweep.inputs import ChangedError, Inputs
 from twin.sweep.names import needs_radar
 from twin.sweep.parameters import check_bounds, check_value, full_name
@@ -25,17 +27,27 @@ def check_values(study: Study, inputs: Inputs) -> None:
     """Raise InputError, naming parameter and value, for what no point may have. What depends on
     other values as well is left to the points.
     """
+    has_radar = needs_radar(study.metrics)
     for name, value in _given(study):
         root, _, rest = full_name(name).partition(".")
-        if root == "radar" and not needs_radar(study.metrics):
+        if root == "radar" and not has_radar:
             continue
         try:
             _check(name, root, rest, value, inputs)
+            if name == TOLERANCE and not has_radar:
+                _check_without_radar(Tolerance.of(str(value)))
         except ChangedError:
             raise
         except InputError as error:
             said = "" if str(error).startswith(name) else f"{name} = {value!r:.60}: "
             raise InputError(f"{said}{error}") from error
+
+
+def _check_without_radar(tolerance: Tolerance) -> None:
+    try:
+        tolerance.check_sensors(camera=True, radar=False)
+    except InputError as error:
+        raise InputError(f"no metric of this study looks at the radar: {error}") from None
 
 
 def _given(study: Study) -> Iterator[tuple[str, Value]]:
