@@ -50,9 +50,17 @@ def check_index(name: str, value: Any, size: int) -> None:
 def check_finite(name: str, value: object, within: float = math.inf) -> None:
     """Raise InputError unless an argument is a finite number, at most ``within`` either way."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or abs(value) > within:  # type: ignore[arg-type]
+    if not is_number or not _is_finite(value) or abs(value) > within:  # type: ignore[arg-type]
         limit = "" if math.isinf(within) else f" within +/- {within:.9g}"
         raise InputError(f"{name}: {value!r:.60}, expected a finite number{limit}")
+
+
+def _is_finite(value: Real) -> bool:
+    """Whether a number is finite as a double, which whole numbers from 1.8e308 on are not."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def check_positive(name: str, value: Any) -> None:

@@ -10,7 +10,14 @@ import pytest
 import hardware
 from hardware import cli
 from hardware.drivers.radio import RadioError
-from hardware.errors import DeviceError, HardwareError, InputError, LinkError, NoAnswerError
+from hardware.errors import (
+    DeviceError,
+    HardwareError,
+    InputError,
+    LinkError,
+    NoAnswerError,
+    check_finite,
+)
 from hardware.recording.chunks import RefusedError
 from hardware.sources import SourceError
 
@@ -48,6 +55,24 @@ def test_no_module_raises_a_bare_value_error() -> None:
         and "ValueError" in {n.id for n in ast.walk(node.exc) if isinstance(n, ast.Name)}
     ]
     assert found == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        float("nan"),
+        float("-inf"),
+        pytest.param(10**400, id="1e400"),
+        pytest.param(-(10**400), id="-1e400"),
+        True,
+        "1",
+    ],
+)
+def test_what_no_double_holds_is_no_finite_number(wrong: object) -> None:
+    with pytest.raises(InputError, match=r"width: .*, expected a finite number"):
+        check_finite("width", wrong)
+    for right in (0, 10**308, np.float32(-1.5)):
+        check_finite("width", right)
 
 
 @pytest.fixture

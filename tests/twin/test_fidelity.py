@@ -1,5 +1,6 @@
 """The knobs: stricter of two, presets, and what each level leaves out."""
 
+import re
 from dataclasses import asdict, fields
 
 import numpy as np
@@ -197,7 +198,8 @@ def test_a_tolerance_of_a_distance_is_that_of_the_steepest_error() -> None:
         ("3 V", "2 mm"),
         ("0,2", "a share of the noise twice"),
         ("1 mm, 2 m", "a distance twice"),
-        ("1000 dB", "1000 dB of an echo: expected 0.00869 to 20"),
+        ("1000 dB", "1000 dB of an echo: expected 0.0087 to 20"),
+        ("10.000001", "10.000001 of the noise: expected 0.0001 to 10"),
         ("200 %", "200 % of a cell's light: expected 0.001 to 100"),
         ("-1 dB", "-1 dB of an echo"),
         (",", "expected a share"),
@@ -215,8 +217,69 @@ def test_a_wrong_tolerance_is_named(text: str, said: str) -> None:
     )
 
 
+def test_a_tolerance_is_told_as_it_is_read() -> None:
+    """To the last bit, also of NumPy's numbers and of whole ones."""
+    rng = np.random.default_rng(1)
+    ranges = {"noise_share": (1e-4, 10), "cell_share": (1e-5, 1), "echo_db": (0.0087, 20)}
+    for _ in range(1000):
+        given = {name: np.exp(rng.uniform(*np.log(ends))) for name, ends in ranges.items()}
+        of_scores = {"psnr_db": np.float64(rng.uniform(1e-3, 20)), "distance_m": 10 ** rng.normal()}
+        for some in (given, of_scores):
+            asked = Tolerance(**some)
+            assert Tolerance.of(str(asked)) == asked
+    for name, unit in (("cell_share", " %"), ("echo_db", " dB"), ("distance_m", " m")):
+        for one in (np.float64(1), 1, 1.0):
+            share = "100.0" if name == "cell_share" else "1.0"
+            assert str(Tolerance(**{name: one})) == f"0.2, {share}{unit}"
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Tolerance)])
+def test_what_is_told_as_a_limit_is_taken(name: str) -> None:
+    """And nothing beyond it, to whole numbers that no double holds."""
+    told = []
+    for wrong in (0, -1.0, float("nan"), float("inf"), 10**400, -(10**400)):
+        with pytest.raises(InputError, match="expected") as error:
+            Tolerance(**{name: wrong})
+        told.append(str(error.value).partition("expected ")[2])
+    (expected,) = set(told)
+    if name == "distance_m":
+        assert expected == "above 0, finite"
+        ends = [5e-324, np.finfo(float).max]
+    else:
+        scale = 0.01 if name == "cell_share" else 1
+        ends = [scale * float(end) for end in expected.split(" to ")]
+        for beyond in (0.999 * ends[0], 1.001 * ends[1]):
+            with pytest.raises(InputError, match="expected"):
+                Tolerance(**{name: beyond})
+    for end in ends:
+        assert getattr(Tolerance(**{name: end}), name) == end
+
+
 def test_what_no_knob_promises_of_a_radar_is_refused() -> None:
+    """With the least that can be."""
     with pytest.raises(InputError, match=r"0\.001 of the noise asks for .* cannot be promised"):
         Tolerance(0.001).knobs(bandwidth_hz=1e9)
     assert Tolerance(0.001).knobs().light_tolerance == 0.001  # of light it can
     assert Tolerance(1e-4).knobs().motion_tolerance == 1e-4  # the least that one takes
+    # Beside an error of echoes a share is that of light alone.
+    assert Tolerance(1e-4, echo_db=0.0087).knobs(1e9).radar_tolerance == pytest.approx(
+        1e-3, rel=2e-3
+    )
+    for bandwidth_hz in (1.0, 20e6, 1e9, 3.97e9, 4e9, 1e300):
+        for given in ({"noise_share": 0.0019999}, {"distance_m": 1e-320}):
+            with pytest.raises(InputError, match="cannot be promised") as told:
+                Tolerance(**given).knobs(bandwidth_hz)
+            least = float(re.search(r"expected (\S+) (m|of the noise)", str(told.value))[1])
+            (name,) = given
+            assert 1e-3 <= Tolerance(**{name: least}).knobs(bandwidth_hz).radar_tolerance < 1.01e-3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [0, -1.0, "4 GHz", float("nan"), float("inf"), pytest.param(10**400, id="1e400"), True],
+)
+def test_a_bandwidth_is_a_number_above_0(wrong: object) -> None:
+    for asked in (Tolerance(distance_m=2e-3), Tolerance()):
+        with pytest.raises(InputError, match=r"bandwidth_hz: .* number") as told:
+            asked.knobs(wrong)  # type: ignore[arg-type]
+        assert len(str(told.value)) < 120

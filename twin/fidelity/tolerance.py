@@ -1,9 +1,12 @@
 """The error that the model may add, from which the knobs follow; and what is the default."""
 
 import math
+import sys
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context, Decimal
 from typing import Any
 
+from hardware.errors import check_positive
 from hardware.units import quantity
 from twin.errors import InputError
 from twin.fidelity.knobs import is_number
@@ -16,8 +19,8 @@ _RADAR = (1e-3, 1.0)
 _LIMITS = {
     "noise_share": (1e-4, 10.0),
     "cell_share": (1e-5, 1.0),
-    "echo_db": (-20 * math.log10(1 - _RADAR[0]), 20.0),
-    "distance_m": (0.0, math.inf),
+    "echo_db": (0.0087, 20.0),  # 0.001 of the echo, rounded up
+    "distance_m": (math.ulp(0.0), sys.float_info.max),  # whatever is above 0
     "psnr_db": (1e-3, 20.0),
     "ssim": (1e-4, 1.0),
 }
@@ -49,9 +52,10 @@ class Tolerance:
         of each pixel's noise; and half of it of each exposure's noise between the instants at
         which light is rendered where things move during a frame. Radar: half of it is the error of
         the echo of each body relative to the echo itself, since echoes may stand far above the
-        noise, and a model as exact as that would take hours; 0.001 at least, 1 at most. Reflections
-        are followed as far as bounds of what further ones add ask for, and edges diffract where a
-        bound says that they count.
+        noise, and a model as exact as that would take hours; 1 at most. Less than 0.001, half
+        of a share below 0.002, is refused unless `echo_db` or `distance_m` takes its place.
+        Reflections are followed as far as bounds of what further ones add ask for, and edges
+        diffract where a bound says that they count.
     echo_db
         Of the level of a body's echo, up and down, in place of its share; 0.0087 to 20 dB. It is
         the error that makes an echo weaker by as much; one of equal size in phase with the echo
@@ -62,7 +66,8 @@ class Tolerance:
     distance_m
         Of the distance of a body by its radar echo, in place of its share. An error of the echo
         that grows linearly over the band moves it the most: relative to the echo e rms over a
-        bandwidth B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar.
+        bandwidth B, by c e sqrt(12) / (4 pi B). It needs the bandwidth of a radar; where e would
+        have to be below 0.001, it is refused.
     psnr_db, ssim
         Of the image's scores, in place of a share of the noise, 0.001 to 20 dB and 0.0001 to 1:
         half the width of their intervals, as far as these are the model's. What light that takes
@@ -86,10 +91,11 @@ class Tolerance:
             value = getattr(self, name)
             if value is None and name != "noise_share":
                 continue
-            if not is_number(value) or not low <= value <= high or value in (0, math.inf):
+            if not is_number(value) or not low <= value <= high:
                 low, high = (_in_its_unit(name, limit) for limit in (low, high))
-                within = f"{low:.3g} to {high:.3g}" if high < math.inf else "above 0"
+                within = "above 0, finite" if name == "distance_m" else f"{low:g} to {high:g}"
                 raise InputError(f"tolerance: {_told(name, value)}: expected {within}")
+            object.__setattr__(self, name, float(value))
         if self.of_scores and self.cell_share is not None:
             raise InputError(f"tolerance: {self}: expected cells or a score, not both")
 
@@ -126,9 +132,10 @@ class Tolerance:
         >>> str(Tolerance(0.1, echo_db=0.5))
         '0.1, 0.5 dB'
         """
-        cell = None if self.cell_share is None else 100 * self.cell_share
-        others = ((cell, "%"), (self.echo_db, "dB"), (self.distance_m, "m"))
+        others = ((self.echo_db, "dB"), (self.distance_m, "m"))
         told = [f"{value!r} {unit}" for value, unit in others if value is not None]
+        if self.cell_share is not None:
+            told.insert(0, f"{_per_cent(self.cell_share)} %")
         if self.psnr_db is not None:
             told.append(f"PSNR {self.psnr_db!r} dB")
         if self.ssim is not None:
@@ -162,7 +169,8 @@ class Tolerance:
 
     def knobs(self, bandwidth_hz: float | None = None) -> Fidelity:
         """The knobs that keep the error within it; ``bandwidth_hz`` is the radar's, None where
-        there is none. Raises InputError for what no knob promises of a radar.
+        there is none. Raises InputError for what no knob promises of a radar, and for a bandwidth
+        that is no number above 0.
 
         >>> knobs = Tolerance(0.2).knobs()
         >>> knobs.light_tolerance, knobs.radar_tolerance
@@ -170,6 +178,8 @@ class Tolerance:
         >>> round(Tolerance(echo_db=0.5).knobs().radar_tolerance, 4)
         0.0559
         """
+        if bandwidth_hz is not None:
+            check_positive("bandwidth_hz", bandwidth_hz)
         if self.of_scores:
             raise InputError(
                 f"tolerance: {self}: what a score takes depends on the scene: expected one that "
@@ -190,19 +200,22 @@ class Tolerance:
     def _of_echoes(self, bandwidth_hz: float | None) -> float:
         """Error of a body's echo, relative to itself: the strictest that was asked for."""
         low, high = _RADAR
-        errors = {}
+        errors, least = dict[str, float](), {"noise_share": 2 * low}
         if self.echo_db is not None:
             errors["echo_db"] = 1 - 10 ** (-self.echo_db / 20)
-        if self.distance_m is not None and bandwidth_hz:
+        if self.distance_m is not None and bandwidth_hz is not None:
             steepest = 4 * math.pi * bandwidth_hz / (_SPEED_OF_LIGHT * math.sqrt(12))
             errors["distance_m"] = self.distance_m * steepest
+            metres = _SPEED_OF_LIGHT * math.sqrt(12) / (4 * math.pi) / bandwidth_hz
+            least["distance_m"] = low * metres
         if not errors:
             errors["noise_share"] = self.noise_share / 2
         asked = min(errors, key=errors.__getitem__)
-        if bandwidth_hz and errors[asked] < low:
+        if bandwidth_hz is not None and errors[asked] < low:
             raise InputError(
-                f"tolerance: {_told(asked, getattr(self, asked))} asks for echoes to "
-                f"{errors[asked]:.2g} of themselves; less than {low:g} cannot be promised"
+                f"tolerance: {_told(asked, getattr(self, asked))} asks for echoes to less than "
+                f"{low:g} of themselves, which cannot be promised: expected "
+                f"{_told(asked, _rounded_up(least[asked]))} or more"
             )
         return min(max(errors[asked], low), high)
 
@@ -214,8 +227,20 @@ def _in_its_unit(name: str, value: float) -> float:
 
 def _told(name: str, value: Any) -> str:
     """An amount in the words in which it is asked for."""
-    amount = f"{_in_its_unit(name, value):g}" if is_number(value) else f"{value!r:.60}"
-    return _WORDS[name][1].format(amount)
+    amount = _in_its_unit(name, value) if is_number(value) else value
+    text = f"{amount:.12g}" if isinstance(amount, float) else f"{amount!r:.60}"
+    return _WORDS[name][1].format(text)
+
+
+def _per_cent(share: float) -> str:
+    """A share in per cent with the same digits, of which 100 times the double may have others."""
+    digits = f"{Decimal(repr(share)).scaleb(2):f}"
+    return digits if "." in digits else f"{digits}.0"
+
+
+def _rounded_up(value: float) -> float:
+    """To three digits."""
+    return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(repr(value)))
 
 
 def _start(item: str) -> int:
