@@ -557,6 +557,8 @@ def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, t
         (["yard", "--seed", "-1"], "--seed"),
         (["yard", "--out", ""], "out: is empty"),
         (["yard", "--out", "/proc/nowhere/out"], "/proc/nowhere/out"),
+        (["yard", "--within", "0"], "within: 0 s is not above 0"),
+        (["yard", "--radar", "none", "--tolerance", "2 mm"], "without a radar"),
     ],
 )
 def test_bad_input_is_one_line_before_any_work(
@@ -564,8 +566,9 @@ def test_bad_input_is_one_line_before_any_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     start = time.monotonic()
-    code, _, errors = twin(*arguments, monkeypatch=monkeypatch, capsys=capsys)
+    code, printed, errors = twin(*arguments, monkeypatch=monkeypatch, capsys=capsys)
     assert code == 2
+    assert printed == ""  # not even that it takes minutes
     assert len(errors.splitlines()) == 1
     assert expected in errors
     assert list(tmp_path.iterdir()) == []

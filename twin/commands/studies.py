@@ -392,17 +392,22 @@ def trade(
 
     if tolerance is not None and within is not None:
         raise InputError("--tolerance, --within: expected one of them")
-    asked = tolerance_of(tolerance) or Tolerance()
-    if not say.verbose:
-        say.line("note: every level is computed several times, which takes minutes; -v tells each")
+
+    def begins() -> None:
+        if not say.verbose:
+            say.line(
+                "note: every level is computed several times, which takes minutes; -v tells each"
+            )
+
     found, folder = run_trade(
         scene,
         system,
         radar=None if radar == "none" else radar,
-        tolerance=asked,
+        tolerance=tolerance_of(tolerance) or Tolerance(),
         within_s=within,
         seed=seed,
         out=out,
+        begins=begins,
     )
     for warning in found.warnings:
         say.warn(warning)

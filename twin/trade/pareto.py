@@ -1,5 +1,6 @@
 """The Pareto front of time and error, measured by `run_trade` and `choose_fidelity`."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -40,6 +41,7 @@ def run_trade(
     within_s: float | None = None,
     seed: int = 0,
     out: str | Path | None = None,
+    begins: Callable[[], None] = lambda: None,
 ) -> tuple[Trade, Path]:
     """Measure every level on a scene and this machine, and write a folder.
 
@@ -60,6 +62,8 @@ def run_trade(
         Folder to write to; default ``runs/trade-SCENE-SYSTEM`` with all settings that differ from
         the default. It is written completely or not at all, and refused before any work where it
         holds files of these names that are of no earlier trade.
+    begins
+        Called once all that is given has been checked, before the first measurement.
 
     Returns the result and the folder. Raises InputError and EngineError as `twin.run` does.
 
@@ -80,6 +84,7 @@ def run_trade(
             loaded = scene if isinstance(scene, Scene) else load_scene(scene)
         folder = Path(out or _folder(loaded, design, sensor, asked, within_s, seed))
         with figures_folder(folder, "trade", "trade.csv", "trade.md", "trade.png") as partial:
+            begins()
             trade = _measure(
                 loaded, design, sensor, asked, within_s, seed, stages.stage, checked=True
             )
