@@ -35,6 +35,20 @@ def test_at_a_border_the_echo_is_a_knife_edges(border_m: float) -> None:
     assert abs(ratio - opening) < 0.03
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 1e-9, 1e-7, 1e-5])
+@pytest.mark.parametrize("end_m", [4.0, -4.0])
+def test_a_corner_at_the_foot_leaves_a_quarter(end_m: float, aside_m: float) -> None:
+    """By symmetry; at round coordinates it was all of the wall's echo, twice a quarter, or none."""
+    y, z = (0.0 + aside_m, 4.0), (aside_m, end_m)
+    corners = [
+        [AWAY_M, y[0], z[0]],
+        [AWAY_M, y[1], z[0]],
+        [AWAY_M, y[1], z[1]],
+        [AWAY_M, y[0], z[1]],
+    ]
+    assert abs(echo(quad("quarter", corners)) / echo(wall(4.0))) == pytest.approx(0.25, rel=0.03)
+
+
 def test_at_a_border_nearer_than_its_zone_is_wide() -> None:
     """A wall 0.1 m ahead that ends before its foot: within 45 wavelengths it had no echo."""
     near = quad("near", [[0.1, -2, -2], [0.1, -0.003, -2], [0.1, -0.003, 2], [0.1, -2, 2]])

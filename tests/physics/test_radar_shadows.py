@@ -48,6 +48,16 @@ from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 1e-9, -1e-7, 1e-5])
+@pytest.mark.parametrize("sides", [((0, 50), (0, 50)), ((-50, 0), (0, 50))])
+def test_a_corner_exactly_in_the_way_leaves_three_quarters(
+    sides: tuple[tuple[int, int], tuple[int, int]], aside_m: float
+) -> None:
+    """Of the wave on either way, by symmetry; at round coordinates it was a half of that echo."""
+    y, z = ((low + aside_m, high + aside_m) for low, high in sides)
+    assert abs(echo(rectangle("quadrant", y, z))) == pytest.approx(0.75**2, rel=0.02)
+
+
 @pytest.mark.parametrize("height", [-0.2, -0.05, -0.02, 0.0, 0.03, 0.1])
 def test_the_echo_of_a_point_beside_an_edge_is_a_knife_edges(height: float) -> None:
     """Two-way: -12.0 dB at the edge, -19.6 and -33.4 dB 3 and 10 cm behind, ripple before it. The
