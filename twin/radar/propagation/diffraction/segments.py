@@ -52,11 +52,6 @@ class _Singles(NamedTuple):
     blocker: Indices
 
 
-def _together(parts: list[_Singles]) -> _Singles:
-    paths, *rest = zip(*parts, strict=True)
-    return _Singles(DiffractedPaths.concatenate(paths), *(np.concatenate(part) for part in rest))
-
-
 class Segment:
     """One segment of the paths to points (n, 3) by an image: after ``level`` of its mirrors.
 
@@ -76,8 +71,30 @@ class Segment:
             self.seen = mirrored(self.seen, flats[number])
 
     def paths(self, active: NDArray[np.bool_], own: Indices) -> Iterator[DiffractedPaths]:
-        """Clear diffracted paths to active points, around every obstacle but their own body."""
-        singles = []
+        """Clear diffracted paths to active points, around every obstacle but their own body: over
+        one edge, over two where the points see another one than the source, over that alone, and
+        over two of two obstacles.
+        """
+        parts = list(self._parts(active, own))
+        if not parts:
+            return
+        over = [self._over(item, rim, rows) for item, rim, rows in parts]
+        paths = DiffractedPaths.concatenate(over)
+        blocker = self._blocker(paths)
+        each_open = np.split(blocker == NOTHING, np.cumsum([len(one.point) for one in over])[:-1])
+        others, is_open = [], []
+        for (item, _, rows), one, is_clear in zip(parts, over, each_open, strict=True):
+            more, remains = self._twice(item, rows, one, is_clear)
+            others.append(more)
+            is_open.append(remains)
+        twice = DiffractedPaths.concatenate(others)
+        yield twice.take(self._is_open(twice))
+        yield from self._round_two(_Singles(paths, np.concatenate(is_open), blocker))
+
+    def _parts(
+        self, active: NDArray[np.bool_], own: Indices
+    ) -> Iterator[tuple[int, Outline, Indices]]:
+        """Obstacles, edges of each, and active points of one body that these may diffract to."""
         for item in self.near_any(active):
             strange = (own < 0) | (own != self.obstacles.body[item])
             rows = np.flatnonzero(active & strange & self.beside(item))
@@ -86,11 +103,7 @@ class Segment:
                 step = max(1, _PAIRS // max(len(rim.ends), 1))
                 if len(rim.ends):
                     for part in np.split(group, range(step, len(group), step)):
-                        single, *more = self._round(item, rim, part)
-                        singles.append(single)
-                        yield from more
-        if singles:
-            yield from self._round_two(_together(singles))
+                        yield item, rim, part
 
     def rim(self, item: int, rows: Indices, own: int, around_m: float = 0.0) -> Outline:
         """Edges of an obstacle's outline that may diffract a wave to points of a body, or to a
@@ -169,18 +182,6 @@ class Segment:
         beside: NDArray[np.bool_] = gap <= widest + around_m
         return beside
 
-    def _round(
-        self, item: int, rim: Outline, rows: Indices
-    ) -> tuple[_Singles, DiffractedPaths, DiffractedPaths]:
-        """Over one edge, over two where the points see another one than the source, and over that
-        alone.
-        """
-        paths = self._over(item, rim, rows)
-        blocker = self._blocker(paths)
-        two, alone, is_open = self._twice(item, rows, paths, blocker == NOTHING)
-        single = _Singles(paths, is_open, blocker)
-        return single, two.take(self._is_open(two)), alone.take(self._is_open(alone))
-
     def _round_two(self, one: _Singles) -> Iterator[DiffractedPaths]:
         """Over an edge each of one or two obstacles."""
         o, is_open = self.obstacles, one.is_open
@@ -231,11 +232,11 @@ class Segment:
 
     def _twice(
         self, item: int, rows: Indices, paths: DiffractedPaths, is_open: NDArray[np.bool_]
-    ) -> tuple[DiffractedPaths, DiffractedPaths, NDArray[np.bool_]]:
+    ) -> tuple[DiffractedPaths, NDArray[np.bool_]]:
         """Paths over two edges, where the points see other edges of the obstacle than the source.
 
-        Returns these; paths over one of the edges that the points see; and which of ``paths`` are
-        clear, without those that a path over two edges replaces.
+        Returns these with paths over one of the edges that the points see; and which of ``paths``
+        are clear, without those that a path over two edges replaces.
         """
         o = self.obstacles
         far = DiffractedPaths.concatenate(
@@ -253,7 +254,8 @@ class Segment:
         is_open[i[matters & ~alone[:, 0]]] = False
         rest = other.take(matters & alone[:, 1])
         _, once = np.unique(np.stack([rest.point, rest.edge]), axis=1, return_index=True)
-        return two.take(matters), rest.take(once), is_open
+        others = DiffractedPaths.concatenate([two.take(matters), rest.take(once)])
+        return others, is_open
 
     def _far_rims(self, item: int, rows: Indices) -> list[Outline]:
         """Edges that points see, from the source; of sides along which the source looks those that
