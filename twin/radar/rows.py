@@ -1,5 +1,6 @@
 """Products and lengths of vectors in rows of three, phasors, and rows that are alike, in less time
-than NumPy takes for sums along so short an axis, exponentials of complex numbers and sorting rows.
+than NumPy takes for sums along so short an axis, exponentials of complex numbers and sorting rows;
+and pairs of rows.
 """
 
 from collections.abc import Sequence
@@ -46,3 +47,13 @@ def alike(columns: Sequence[NDArray[np.integer]]) -> Indices:
             keys = int(key.max()) + 1
         key, keys = key * span + (column - least), keys * span
     return np.asarray(np.unique(key, return_inverse=True)[1], dtype=np.int64)
+
+
+def matching_pairs(one: Indices, other: Indices) -> tuple[Indices, Indices]:
+    """All pairs of rows with the same number."""
+    order = np.argsort(other, kind="stable")
+    first, last = (np.searchsorted(other[order], one, side=side) for side in ("left", "right"))
+    count = last - first
+    rows = np.repeat(np.arange(len(one)), count)
+    begin = np.repeat(first - (np.cumsum(count) - count), count)
+    return rows, order[begin + np.arange(len(rows))]

@@ -26,7 +26,6 @@ from twin.radar.propagation.diffraction.around_edges import is_near_edges
 from twin.radar.propagation.diffraction.beside_ways import MANY_OBSTACLES
 from twin.radar.propagation.diffraction.blocking import distances_to
 from twin.radar.propagation.diffraction.passed_waves import BIN_M, PassedWaves, waves_past
-from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import some_facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
@@ -34,7 +33,7 @@ from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.physical_optics import followed_by, scattered
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import Assignment
-from twin.radar.rows import alike, phasors
+from twin.radar.rows import alike, matching_pairs, phasors
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 from twin.scene.boxes import boxes_of

@@ -22,7 +22,6 @@ from twin.radar.propagation.diffraction.mirrors import (
 from twin.radar.propagation.diffraction.rims import (
     DiffractedPaths,
     is_strong,
-    matching_pairs,
     unsure_m,
 )
 from twin.radar.propagation.diffraction.screens import Screens
@@ -31,7 +30,7 @@ from twin.radar.propagation.one_way.path import TracingContext
 from twin.radar.propagation.one_way.points import between, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image
-from twin.radar.rows import lengths
+from twin.radar.rows import lengths, matching_pairs
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
 from twin.scene import Target

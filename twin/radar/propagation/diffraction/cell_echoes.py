@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.bends import Bends
-from twin.radar.propagation.diffraction.rims import is_strong, matching_pairs
+from twin.radar.propagation.diffraction.rims import is_strong
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets, shown_facets
 from twin.radar.propagation.diffraction.two_way_echoes import Ways, summed, sums
 from twin.radar.propagation.diffraction.views import TwoViews, View
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.one_way.points import PointPaths
-from twin.radar.rows import dots, lengths
+from twin.radar.rows import dots, lengths, matching_pairs
 from twin.radar.scattering.arrays import ComplexVector3
 from twin.radar.scattering.kernel import coefficients_at, radiating, reflected
 from twin.radar.synthesis import Contributions

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points
 from twin.radar.propagation.diffraction.bends import Bends
-from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.one_way.points import paths_to_points
-from twin.radar.rows import alike, lengths, phasors
+from twin.radar.rows import alike, lengths, matching_pairs, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

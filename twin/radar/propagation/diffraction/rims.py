@@ -12,12 +12,12 @@ from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import (
     knife_edge_factor,
     missing_edge_factor,
-    on_one_side,
 )
-from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.meshes.silhouettes import Lines, Outline
 from twin.radar.rows import alike, dots, lengths
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _NEGLIGIBLE = 0.1  # of the faintest path: share below which the wave from an edge's end is left out
@@ -66,7 +66,7 @@ class DiffractedPaths:
     aside: Array
     along: Array
     corner: Array
-    amplitude: NDArray[np.complex128]
+    amplitude: Complex
     longer_m: Array
     lit_m: Array
 
@@ -113,14 +113,17 @@ def edge_paths(
     return replace(paths, stops=paths.stops + source)
 
 
-def end_paths(rim: Outline, direct: Array, wavenumber: float, faintest: float) -> DiffractedPaths:
+def end_waves(
+    rim: Outline, direct: Array, wavenumber: float, faintest: float
+) -> tuple[Indices, Array, Complex]:
     """Only the paths over ends of edges, down to an amplitude, to the ends of vectors (n, 3) from
-    the source, which stops are relative to as well; of each edge to 1 / (2 `_FAR`) where its end
-    is far from where its own path meets it.
+    the source: rows of these, where the paths pass the ends, from the source, and amplitudes; of
+    each edge to 1 / (2 `_FAR`) where its end is far from where its own path meets it.
     """
     pairs = _pairs(rim, direct, wavenumber, farthest(faintest))
-    paths = _paths_over_ends(pairs, _OF_TWO * faintest, _FAR)
-    return paths.take(np.abs(paths.amplitude) >= faintest)
+    ends = _ends(pairs, _OF_TWO * faintest, _FAR)
+    ends = ends.take(np.abs(ends.amplitude) >= faintest)
+    return pairs.point[ends.pair], rim.ends[pairs.edge[ends.pair], ends.end], ends.amplitude
 
 
 def near_edges(
@@ -140,7 +143,9 @@ class _Pairs:
     """Pairs of a point and an edge near the direct path to it, (n, ...).
 
     ``places`` (m, 3) are all points relative to the source; the shortest path over the edge's line
-    meets it ``at`` (m) from the first end and is longer than the direct path by a phase ``q``.
+    meets it ``at`` (m) from the first end and is longer than the direct path by a phase ``q``;
+    ``lit_m``: the point's distance from the shadow's border, positive in the light; of one on the
+    same side of the edge as the source, where there is no border, from the edge.
     """
 
     rim: Outline
@@ -149,29 +154,19 @@ class _Pairs:
     edge: Indices
     at: Array
     q: Array
+    lit_m: Array
     wavenumber: float
 
     def take(self, which: NDArray[Any]) -> "_Pairs":
         """Only some of them, by index or mask."""
-        point, edge, at, q = (x[which] for x in (self.point, self.edge, self.at, self.q))
-        return _Pairs(self.rim, self.places, point, edge, at, q, self.wavenumber)
+        rows = (self.point, self.edge, self.at, self.q, self.lit_m)
+        return _Pairs(self.rim, self.places, *(x[which] for x in rows), self.wavenumber)
 
     @cached_property
     def direct(self) -> Array:
         """Vectors (n, 3) from the source to the point."""
         direct: Array = self.places[self.point]
         return direct
-
-    @cached_property
-    def lit_m(self) -> Array:
-        """The point's distance (n,) from the shadow's border, positive in the light; of one on the
-        same side of the edge as the source, where there is no border, from the edge.
-        """
-        begin, along = self.rim.ends[self.edge, 0], _along(self.rim)[0][self.edge]
-        onwards = self.direct - begin
-        off_m = lengths(onwards - dots(onwards, along)[:, None] * along)
-        border_m = dots(self.rim.lit[self.edge], self.direct)
-        return np.where(on_one_side(-begin, onwards, along), off_m, border_m)
 
     def depth(self, place: Array) -> Array:
         """How far along the direct path places are, 0 to 1."""
@@ -183,10 +178,9 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
     path is longer by at most a phase ``most``.
     """
-    direct = np.ascontiguousarray(direct + _aside(direct, wavenumber))
-    ends = np.ascontiguousarray(rim.ends)
-    point, edge, at, q = kernel(_near)(ends, direct, wavenumber, most)
-    return _Pairs(rim, direct, point, edge, at, q, wavenumber)
+    direct, ends, lit = (np.ascontiguousarray(x) for x in (direct, rim.ends, rim.lit))
+    pairs = kernel(_near)(rim.lines, ends, lit, direct, wavenumber, most)
+    return _Pairs(rim, direct, *pairs, wavenumber)
 
 
 def _aside(direct: Array, wavenumber: float) -> Array:
@@ -200,29 +194,20 @@ def _aside(direct: Array, wavenumber: float) -> Array:
 
 
 def _near(
-    ends: Array, direct: Array, wavenumber: float, most: float
-) -> tuple[Indices, Indices, Array, Array]:
-    count = len(ends)
-    first, along, foot = ends[:, 0].copy(), np.empty((count, 3)), np.empty((count, 3))
-    at_source, off_source = np.empty(count), np.empty(count)
-    for j in range(count):
-        side = ends[j, 1] - ends[j, 0]
-        along[j] = side / np.sqrt(np.sum(side**2))
-        # Feet of the perpendiculars on an edge's line, and how far off it the source is.
-        at_source[j] = -np.sum(first[j] * along[j])
-        foot[j] = first[j] + at_source[j] * along[j]
-        off_source[j] = np.sqrt(np.sum(foot[j] ** 2))
+    lines: Lines, ends: Array, lit: Array, direct: Array, wavenumber: float, most: float
+) -> tuple[Indices, Indices, Array, Array, Array]:
+    along, foot, at_source = lines.along, lines.foot, lines.at_m
     point, edge = [0 for _ in range(0)], [0 for _ in range(0)]
-    at, phase = [0.0 for _ in range(0)], [0.0 for _ in range(0)]
+    at, phase, lit_m = [0.0 for _ in range(0)], [0.0 for _ in range(0)], [0.0 for _ in range(0)]
     for i in range(len(direct)):
         x, y, z = direct[i]
         square = x * x + y * y + z * z
         straight = np.sqrt(square)
         farthest = 0.5 * ((straight + most / wavenumber) ** 2 - square)
-        for j in range(count):
+        for j in range(len(ends)):
             forward = x * along[j, 0] + y * along[j, 1] + z * along[j, 2]
             across = x * foot[j, 0] + y * foot[j, 1] + z * foot[j, 2]
-            off = off_source[j]
+            off = lines.off_m[j]
             off_square = max(square - forward**2 - 2 * across + off * off, 0.0)
             # Most are too far for sure, which needs no root.
             product = farthest + across - off * off
@@ -239,19 +224,19 @@ def _near(
                 point.append(i)
                 edge.append(j)
                 phase.append(q)
-    return np.array(point), np.array(edge), np.array(at), np.array(phase)
-
-
-def _along(rim: Outline) -> tuple[Array, Array]:
-    """Unit vectors (m, 3) along edges, and lengths."""
-    side = rim.ends[:, 1] - rim.ends[:, 0]
-    length = np.linalg.norm(side, axis=1)
-    return side / length[:, None], length
+                begin, border, beside = 0.0, 0.0, 0.0
+                for axis in range(3):
+                    begin += ends[j, 0, axis] * (ends[j, 0, axis] - direct[i, axis])
+                    border += lit[j, axis] * direct[i, axis]
+                    beside += (direct[i, axis] - forward * along[j, axis] - foot[j, axis]) ** 2
+                is_one_side = begin > at_source[j] * at_place
+                lit_m.append(np.sqrt(beside) if is_one_side else border)
+    return np.array(point), np.array(edge), np.array(at), np.array(phase), np.array(lit_m)
 
 
 def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     """Paths over the edge itself, where the shortest path meets it between its ends."""
-    rim, (along, length) = pairs.rim, _along(pairs.rim)
+    rim, along, length = pairs.rim, pairs.rim.lines.along, pairs.rim.lines.length_m
     pairs = pairs.take((pairs.at > 0) & (pairs.at < length[pairs.edge]))
     place = rim.ends[pairs.edge, 0] + pairs.at[:, None] * along[pairs.edge]
     depth = pairs.depth(place)
@@ -270,32 +255,57 @@ def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     return _paths_by(pairs, place, pairs.q, along[pairs.edge], aside, amplitude, lit_m)
 
 
-def _paths_over_ends(pairs: _Pairs, faintest: float, far: float = np.inf) -> DiffractedPaths:
-    """Paths over both ends of edges, those that meet in one corner added up."""
-    ends = [_end_paths(pairs, end, faintest, far) for end in (0, 1)]
-    return _summed_at_corners(DiffractedPaths.concatenate(ends))
-
-
-def _end_paths(pairs: _Pairs, end: int, faintest: float, far: float) -> DiffractedPaths:
-    """Paths over one end of edges, which subtract the edge missing beyond it: from a phase ``far``
-    on by the first term of an asymptotic series; ``item``: the corner.
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """Corners, (n,), which paths of some pairs lead over, by the row of a ``pair`` whose edge ends
+    there, and which ``end`` it is, 0 or 1; the phase ``p`` by which the path is longer than that
+    over the edge's line; and ``amplitude``, added up over all edges that end there.
     """
-    rim, ends = pairs.rim, np.ascontiguousarray(pairs.rim.ends[:, end])
-    of_pairs = pairs.point, pairs.edge, pairs.q
-    some, p, level = kernel(_passing)(ends, pairs.places, *of_pairs, pairs.wavenumber, faintest)
-    pairs, factor = pairs.take(some), -1j * level
-    near = p < far
-    factor[near] = missing_edge_factor(pairs.q[near], p[near])
-    place = ends[pairs.edge]
-    inwards = pairs.at if end == 0 else _along(rim)[1][pairs.edge] - pairs.at
-    turn = np.where(pairs.lit_m > 0, 1, -1) * np.where(inwards > 0, 1, -1)
-    none, unlit_m = np.zeros_like(pairs.direct), np.full(len(some), np.inf)
+
+    pair: Indices
+    end: Indices
+    p: Array
+    amplitude: Complex
+
+    def take(self, which: NDArray[Any]) -> "_Ends":
+        """Only some of them, by index or mask."""
+        return _Ends(self.pair[which], self.end[which], self.p[which], self.amplitude[which])
+
+
+def _ends(pairs: _Pairs, faintest: float, far: float = np.inf) -> _Ends:
+    """Over both ends of edges, of which paths subtract the edge missing beyond: from a phase
+    ``far`` on by the first term of an asymptotic series.
+    """
+    rim, ends = pairs.rim, np.ascontiguousarray(pairs.rim.ends)
+    pair, end, p, level = kernel(_passing)(
+        ends, pairs.places, pairs.point, pairs.edge, pairs.q, pairs.wavenumber, faintest
+    )
+    point, edge, at, q, lit_m = (
+        x[pair] for x in (pairs.point, pairs.edge, pairs.at, pairs.q, pairs.lit_m)
+    )
+    factor, near = -1j * level, p < far
+    factor[near] = missing_edge_factor(q[near], p[near])
+    inwards = np.where(end == 0, at, rim.lines.length_m[edge] - at)
+    factor *= np.where((lit_m > 0) == (inwards > 0), 1, -1)
+    same = alike([point, rim.corner[edge, end]])
+    one = np.unique(same, return_index=True)[1]
+    amplitude = np.zeros(len(one), dtype=np.complex128)
+    np.add.at(amplitude, same, factor)
+    return _Ends(pair[one], end[one], p[one], amplitude)
+
+
+def _paths_over_ends(pairs: _Pairs, faintest: float) -> DiffractedPaths:
+    """Paths over both ends of edges, those that meet in one corner added up."""
+    rim, ends = pairs.rim, _ends(pairs, faintest)
+    pairs, end = pairs.take(ends.pair), ends.end
+    place = rim.ends[pairs.edge, end]
+    none, unlit_m = np.zeros_like(pairs.direct), np.full(len(end), np.inf)
     aside = _beside_m(pairs, place)[:, None] * rim.aside[pairs.edge, end]
-    paths = _paths_by(pairs, place, pairs.q + p, none, aside, turn * factor, unlit_m)
-    both = np.stack([(1 - 2 * end) * _along(rim)[0], rim.onwards[:, end]], axis=1)[pairs.edge]
+    paths = _paths_by(pairs, place, pairs.q + ends.p, none, aside, ends.amplitude, unlit_m)
+    inwards = (1 - 2 * end)[:, None] * rim.lines.along[pairs.edge]
+    both = np.stack([inwards, rim.onwards[pairs.edge, end]], axis=1)
     is_sharp = both[:, 1].any(axis=1) & (dots(both[:, 0], both[:, 1]) > -_STRAIGHT)
-    corner = np.where(is_sharp[:, None, None], both, 0.0)
-    return replace(paths, item=rim.corner[pairs.edge, end], corner=corner)
+    return replace(paths, corner=np.where(is_sharp[:, None, None], both, 0.0))
 
 
 def _passing(
@@ -306,28 +316,29 @@ def _passing(
     q: Array,
     wavenumber: float,
     faintest: float,
-) -> tuple[Indices, Array, Array]:
-    """Which pairs' paths over an end of the edge, (m, 3) relative to the source, count and pass it
-    between source and point; by which phase they are longer than those over the edge's line; and
-    their level by the first term.
+) -> tuple[Indices, Indices, Array, Array]:
+    """Which pairs' paths over which ends of edges, (m, 2, 3) relative to the source, count and pass
+    these between source and point; by which phase they are longer than those over the edge's line;
+    and their level by the first term.
     """
-    rows = np.empty(len(point), dtype=np.int64)
-    more, level = np.empty((2, len(point)))
+    rows, which = np.empty((2, 2 * len(point)), dtype=np.int64)
+    more, level = np.empty((2, 2 * len(point)))
     count = 0
-    for i in range(len(point)):
-        x, y, z = places[point[i]]
-        a, b, c = ends[edge[i]]
-        forward, square = x * a + y * b + z * c, x * x + y * y + z * z
-        if forward <= 0 or forward >= square:
-            continue
-        there = np.sqrt(a * a + b * b + c * c)
-        back = np.sqrt((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2)
-        p = max(wavenumber * (there + back - np.sqrt(square)) - q[i], 0.0)
-        first = np.sqrt(q[i]) / (4 * np.pi * max(np.sqrt(p) * (p + q[i]), 1e-30))
-        if first > faintest:
-            rows[count], more[count], level[count] = i, p, first
-            count += 1
-    return rows[:count], more[:count], level[:count]
+    for end in range(2):
+        for i in range(len(point)):
+            x, y, z = places[point[i]]
+            a, b, c = ends[edge[i], end]
+            forward, square = x * a + y * b + z * c, x * x + y * y + z * z
+            if forward <= 0 or forward >= square:
+                continue
+            there = np.sqrt(a * a + b * b + c * c)
+            back = np.sqrt((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2)
+            p = max(wavenumber * (there + back - np.sqrt(square)) - q[i], 0.0)
+            first = np.sqrt(q[i]) / (4 * np.pi * max(np.sqrt(p) * (p + q[i]), 1e-30))
+            if first > faintest:
+                rows[count], which[count], more[count], level[count] = i, end, p, first
+                count += 1
+    return rows[:count], which[:count], more[:count], level[:count]
 
 
 def _paths_by(
@@ -336,7 +347,7 @@ def _paths_by(
     radians: Array,
     along: Array,
     aside: Array,
-    amplitude: NDArray[np.complex128],
+    amplitude: Complex,
     lit_m: Array,
 ) -> DiffractedPaths:
     """Pairs as paths, each by way of a place."""
@@ -368,18 +379,6 @@ def unsure_m(places: Array) -> Array:
     return unsure
 
 
-def _summed_at_corners(ends: DiffractedPaths) -> DiffractedPaths:
-    """Paths over the ends of edges that meet in one corner, added up."""
-    corners = int(ends.item.max(initial=0)) + 1
-    _, one, same = np.unique(
-        ends.point * corners + ends.item, return_index=True, return_inverse=True
-    )
-    amplitude = np.zeros(len(one), dtype=np.complex128)
-    np.add.at(amplitude, same, ends.amplitude)
-    none = np.zeros(len(one), dtype=np.int64)
-    return replace(ends.take(one), amplitude=amplitude, item=none)
-
-
 def merged(paths: DiffractedPaths, source: Array, wavenumber: float) -> DiffractedPaths:
     """Paths to a point of nearly the same length and place, and with the light on the same side, as
     one: a curved outline has hundreds. Those over ends of edges stay apart from these.
@@ -403,13 +402,3 @@ def is_strong(level: Array, group: Indices, faintest: float) -> NDArray[np.bool_
     np.maximum.at(strongest, group, level)
     strong: NDArray[np.bool_] = level >= faintest * strongest[group]
     return strong
-
-
-def matching_pairs(one: Indices, other: Indices) -> tuple[Indices, Indices]:
-    """All pairs of rows with the same number."""
-    order = np.argsort(other, kind="stable")
-    first, last = (np.searchsorted(other[order], one, side=side) for side in ("left", "right"))
-    count = last - first
-    rows = np.repeat(np.arange(len(one)), count)
-    within = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count)
-    return rows, order[np.repeat(first, count) + within]

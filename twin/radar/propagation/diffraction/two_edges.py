@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge
-from twin.radar.propagation.diffraction.rims import DiffractedPaths, matching_pairs
+from twin.radar.propagation.diffraction.rims import DiffractedPaths
+from twin.radar.rows import matching_pairs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.rims import DiffractedPaths, matching_pairs
+from twin.radar.propagation.diffraction.rims import DiffractedPaths
 from twin.radar.propagation.diffraction.two_edges import double_edge_paths
-from twin.radar.rows import dots
+from twin.radar.rows import dots, matching_pairs
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

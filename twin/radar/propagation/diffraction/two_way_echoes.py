@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.bends import Bends
-from twin.radar.propagation.diffraction.rims import matching_pairs
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.triangle_means import mean_waves
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.rows import alike, lengths, phasors
+from twin.radar.rows import alike, lengths, matching_pairs, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]

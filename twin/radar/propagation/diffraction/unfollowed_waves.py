@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
-from twin.radar.propagation.diffraction.rims import end_paths, farthest
+from twin.radar.propagation.diffraction.rims import end_waves, farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.diffraction.views import View
-from twin.radar.propagation.meshes.silhouettes import Outline
-from twin.radar.rows import lengths, phasors
+from twin.radar.propagation.meshes.silhouettes import Lines, Outline
+from twin.radar.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -93,10 +94,10 @@ def faint_waves(
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
-    """Facets in order of their cells, (n, ...), as waves from a view light them: ``direct`` vectors
-    from there (n, 3), unit vectors ``back`` to the other view, lengths of both straight ways, and
-    the ``weight`` of echoes; of cells, (m, ...), the ``size`` and the ``center`` from the view.
-    Waves are fainter than ``faintest``.
+    """Facets that answer in order of their cells, (n, ...), as waves from a view light them:
+    ``direct`` vectors from there (n, 3), unit vectors ``back`` to the other view, lengths of both
+    straight ways, and the ``weight`` of echoes; of cells, (m, ...), the ``size`` and the ``center``
+    from the view. Waves are fainter than ``faintest``.
     """
 
     facets: Facets
@@ -114,9 +115,12 @@ class _Lit:
     def by(view: View, other: View, facets: Facets, strength: Array, other_way: Array) -> "_Lit":
         """As of `faint_waves`."""
         order = np.argsort(facets.cell, kind="stable")
-        facets, weight = facets.take(order), (strength * other_way[facets.cell])[order]
-        middle, size = facets.middle, np.bincount(facets.cell)
-        center = np.stack([np.bincount(facets.cell, x) / size for x in middle.T], axis=1)
+        size = np.bincount(facets.cell)
+        center = np.stack([np.bincount(facets.cell, x) / size for x in facets.middle.T], axis=1)
+        weight = strength * other_way[facets.cell]
+        order = order[weight[order] > 0]
+        facets, weight = facets.take(order), weight[order]
+        middle, size = facets.middle, np.bincount(facets.cell, minlength=len(size))
         direct, back = middle - view.place, other.place - middle
         straight, again = lengths(direct), lengths(back)
         back /= again[:, None]
@@ -129,7 +133,7 @@ class _Lit:
     ) -> FaintWaves:
         """By facets, (p,), of waves over edges, over the straight one and without its phase."""
         k = self.wavenumber
-        length = self.straight[row] + self.again[row] + longer
+        length = (self.straight + self.again)[row] + longer
         echo = self.weight[row] * wave * phasors(-(k * length % (2 * np.pi)))
         echo *= self.facets.take(row).mean(k * (self.back[row] + towards))
         return FaintWaves(len(self.size), self.facets.cell[row], level, length, echo)
@@ -138,23 +142,22 @@ class _Lit:
 def _over_edges(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
     """By edges between their ends."""
     k = of.wavenumber
-    cell, edge = _met(rim, of.center[cells])
+    cell, edge = kernel(_met)(rim.lines, rim.ends, np.ascontiguousarray(of.center[cells]))
     pair, row = _of_sorted(cell + cells.start, of.size)
-    longer, towards = _over(rim, edge[pair], of.direct[row], of.straight[row])
-    is_shadow = np.sum(rim.lit[edge[pair]] * of.direct[row], axis=1) <= 0
-    is_far = (k * longer > farthest(of.faintest)) & (of.weight[row] > 0)
-    row, longer, towards = row[is_far], longer[is_far], towards[is_far]
+    far_m = farthest(of.faintest) / k
+    some, longer, towards = kernel(_over)(rim.lines, edge[pair], of.direct, row, far_m)
+    row, edge = row[some], edge[pair[some]]
     # Reversed in the light: past both sides of a post, half a cycle apart, they add up.
-    wave = np.where(is_shadow[is_far], 1, -1) * knife_edge_factor(k * longer)
+    wave = np.where(dots(rim.lit[edge], of.direct[row]) > 0, -1, 1) * knife_edge_factor(k * longer)
     return of.waves(row, longer, towards, 1 / np.sqrt(4 * np.pi * k * longer), wave)
 
 
 def _over_ends(of: _Lit, rim: Outline, cells: slice, least: float) -> FaintWaves:
     """By ends of edges, at all of a cell as strong as in its middle."""
-    ends = end_paths(rim, of.center[cells], of.wavenumber, least)
-    ends = ends.take(np.abs(ends.amplitude) < of.faintest)
-    pair, row = _of_sorted(ends.point + cells.start, of.size)
-    stop, amplitude = ends.stops[pair, 0], ends.amplitude[pair]
+    cell, stop, amplitude = end_waves(rim, of.center[cells], of.wavenumber, least)
+    faint = np.abs(amplitude) < of.faintest
+    pair, row = _of_sorted(cell[faint] + cells.start, of.size)
+    stop, amplitude = stop[faint][pair], amplitude[faint][pair]
     towards = stop - of.direct[row]
     rest = lengths(towards)
     longer = np.maximum(lengths(stop) + rest - of.straight[row], 0)
@@ -170,38 +173,57 @@ def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:
     return pair, np.arange(len(pair)) + first[pair]
 
 
-def _met(rim: Outline, direct: Array) -> tuple[Indices, Indices]:
+def _met(lines: Lines, ends: Array, direct: Array) -> tuple[Indices, Indices]:
     """Cells, at the ends of vectors (n, 3), and edges that shortest paths to them meet."""
-    first, side = rim.ends[:, 0], rim.ends[:, 1] - rim.ends[:, 0]
-    length = np.linalg.norm(side, axis=1)
-    along = side / length[:, None]
-    at_source = -np.sum(first * along, axis=1)
-    foot = first + at_source[:, None] * along
-    off_source = np.linalg.norm(foot, axis=1)
-    forward, square = direct @ along.T, np.sum(direct**2, axis=1)[:, None]
-    off_place = np.sqrt(np.maximum(square - forward**2 - 2 * direct @ foot.T + off_source**2, 0))
-    at = at_source + forward * off_source / np.maximum(off_source + off_place, 1e-300)
-    depth = (direct @ first.T + at * forward) / square
-    cell, edge = np.nonzero((at >= 0) & (at <= length) & (depth > 0) & (depth < 1))
-    return cell, edge
+    along, foot = lines.along, lines.foot
+    cell, edge = [0 for _ in range(0)], [0 for _ in range(0)]
+    for i in range(len(direct)):
+        x, y, z = direct[i]
+        square = x * x + y * y + z * z
+        for j in range(len(foot)):
+            forward = x * along[j, 0] + y * along[j, 1] + z * along[j, 2]
+            across = x * foot[j, 0] + y * foot[j, 1] + z * foot[j, 2]
+            off = lines.off_m[j]
+            off_place = np.sqrt(max(square - forward * forward - 2 * across + off * off, 0.0))
+            at = lines.at_m[j] + forward * off / max(off + off_place, 1e-300)
+            if at < 0 or at > lines.length_m[j]:
+                continue
+            first = x * ends[j, 0, 0] + y * ends[j, 0, 1] + z * ends[j, 0, 2]
+            if 0 < first + at * forward < square:
+                cell.append(i)
+                edge.append(j)
+    return np.array(cell), np.array(edge)
 
 
-def _over(rim: Outline, edge: Indices, direct: Array, straight: Array) -> tuple[Array, Array]:
-    """By how much paths over the lines of edges (n,) to the ends of vectors (n, 3) are longer, and
-    unit vectors from there to the edge.
+def _over(
+    lines: Lines, edge: Indices, direct: Array, row: Indices, far_m: float
+) -> tuple[Indices, Array, Array]:
+    """Which paths over the lines of edges (n,) to the ends of vectors, by their rows (n,), are
+    longer by more than ``far_m``; by how much, and unit vectors from there to the edge.
     """
-    first, side = rim.ends[edge, 0], rim.ends[edge, 1] - rim.ends[edge, 0]
-    along = side / np.linalg.norm(side, axis=1)[:, None]
-    at_source = -np.sum(first * along, axis=1)
-    foot = first + at_source[:, None] * along
-    off_source = np.linalg.norm(foot, axis=1)
-    forward = np.sum(direct * along, axis=1)
-    off_place = np.linalg.norm(direct - forward[:, None] * along - foot, axis=1)
-    share = off_source / np.maximum(off_source + off_place, 1e-300)
-    towards = foot + (forward * share)[:, None] * along - direct
-    distance = np.linalg.norm(towards, axis=1)
-    longer = np.maximum(np.hypot(off_source + off_place, forward) - straight, 0)
-    return longer, towards / np.maximum(distance, 1e-300)[:, None]
+    some, longer = np.empty(len(row), dtype=np.int64), np.empty(len(row))
+    towards, off, way = np.empty((len(row), 3)), np.empty(3), np.empty(3)
+    count = 0
+    for i in range(len(row)):
+        place, along, foot = direct[row[i]], lines.along[edge[i]], lines.foot[edge[i]]
+        forward, square, off_square = 0.0, 0.0, 0.0
+        for axis in range(3):
+            forward += place[axis] * along[axis]
+            square += place[axis] * place[axis]
+        for axis in range(3):
+            off[axis] = place[axis] - forward * along[axis] - foot[axis]
+            off_square += off[axis] * off[axis]
+        whole = lines.off_m[edge[i]] + np.sqrt(off_square)
+        more = np.sqrt(whole * whole + forward * forward) - np.sqrt(square)
+        if more > far_m:
+            share, distance = lines.off_m[edge[i]] / max(whole, 1e-300), 0.0
+            for axis in range(3):
+                way[axis] = foot[axis] + forward * share * along[axis] - place[axis]
+                distance += way[axis] * way[axis]
+            towards[count, :] = way / max(np.sqrt(distance), 1e-300)
+            some[count], longer[count] = i, more
+            count += 1
+    return some[:count], longer[:count], towards[:count]
 
 
 def _powers(owner: Indices, length: Array, wave: Complex, count: int) -> Array:

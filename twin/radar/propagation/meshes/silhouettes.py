@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.radar.rows import dots, lengths
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -14,6 +17,29 @@ Indices = NDArray[np.int64]
 #: A face seen edge on has its edges on either side: seen from this much aside, of the distance, it
 #: is one of the two.
 _ASIDE = 1e-9 * np.array([0.36, 0.48, 0.8])
+
+
+class Lines(NamedTuple):
+    """Lines of edges: unit vectors ``along`` (n, 3), ``length_m`` of the edges (n,); the ``foot``
+    (n, 3) of the perpendicular from the source, how far it is along the line from the edge's first
+    end, ``at_m``, and from the source, ``off_m``, (n,).
+    """
+
+    along: Array
+    length_m: Array
+    foot: Array
+    at_m: Array
+    off_m: Array
+
+    @staticmethod
+    def of(ends: Array) -> "Lines":
+        """Of edges with ends (n, 2, 3) relative to the source."""
+        first, side = ends[:, 0], ends[:, 1] - ends[:, 0]
+        length_m = lengths(side)
+        along = side / length_m[:, None]
+        at_m = -dots(first, along)
+        foot = first + at_m[:, None] * along
+        return Lines(along, length_m, foot, at_m, lengths(foot))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +61,11 @@ class Outline:
     aside: Array
     onwards: Array
     room_m: Array
+
+    @cached_property
+    def lines(self) -> Lines:
+        """Of its edges."""
+        return Lines.of(self.ends)
 
     @staticmethod
     def of(ends: Array, edge: Indices, corner: Indices, lit: Array) -> "Outline":
