@@ -21,7 +21,7 @@ from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.views import View
-from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.meshes.silhouettes import Lines, Outline
 from twin.radar.rows import phasors
 
 Array = NDArray[np.float64]
@@ -85,8 +85,9 @@ def borders_of(view: View, facets: Facets, body: int) -> tuple[Indices, Array]:
     direct, radius = _spheres(view, facets)
     cells, normals = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
     for rim, some in _rims(view, body, direct, radius):
-        root_q = _phases(rim, direct[some], radius[some], view.obstacles.wavenumber)[0]
-        cell, edge = np.nonzero(root_q == 0)
+        cell, edge = kernel(_at_borders, _of_edge)(
+            rim.lines, direct[some], radius[some], view.obstacles.wavenumber
+        )
         cells.append(some[cell])
         normals.append(rim.lit[edge])
     cell = np.concatenate(cells)
@@ -130,8 +131,7 @@ def change_beside(rim: Outline, direct: Array, wavenumber: float) -> Array:
 
     Past both sides of a post waves cancel, and through a slit they add.
     """
-    root_q, _, _, faces = _phases(rim, direct, np.zeros(len(direct)), wavenumber)
-    edges, roots = _nearest(root_q, faces, rim.lit, -_ALONG)
+    edges, roots, _, _ = _nearest(rim, direct, np.zeros(len(direct)), wavenumber, -_ALONG, 4)
     q = np.where(np.isfinite(roots), roots, 0.0) ** 2
     factor = knife_edge_factor(q) * phasors(-q)
     sign = np.where(np.einsum("eni,ni->en", rim.lit[edges], direct) > 0, -1, 1)
@@ -148,92 +148,101 @@ def _beside(
     """Of one obstacle and cells at the ends of vectors (n, 3): ``level``, ``nearest``, ``steepest``
     and ``aside`` of `Cells`, and the row of the nearest edge.
     """
-    root_q, grows, angle, faces = _phases(rim, direct, radius, wavenumber)
+    (closest, _), (nearest, other), grows, angle = _nearest(rim, direct, radius, wavenumber, 0.0, 2)
     # A narrow obstacle lets waves come round both of its sides.
-    (closest, *_), (nearest, other, *_) = _nearest(root_q, faces, rim.lit, 0.0)
     level = knife_edge_bound(nearest) + knife_edge_bound(other)
-    is_near, row = np.isfinite(nearest), np.arange(len(direct))
-    level[~is_near] = 0
-    steepest = np.where(is_near, grows[row, closest], 0)
-    aside = np.where(is_near, angle[row, closest], 0)
-    return level, nearest, steepest, aside, closest
+    level[np.isinf(nearest)] = 0
+    return level, nearest, grows, angle, closest
 
 
 def _nearest(
-    root_q: Array, faces: NDArray[np.bool_], lit: Array, opposite: float
-) -> tuple[Indices, Array]:
-    """Rows of edges of the least roots of phases (n, m), and these, (4, n): of all; of those on the
-    other side of that one, the cosine between whose directions ``lit`` (m, 3) is below
-    ``opposite``; and the same two of those across the first that paths face, not such as go away
-    from its end. Where there are none, inf.
+    rim: Outline, direct: Array, radius: Array, wavenumber: float, opposite: float, kinds: int
+) -> tuple[Indices, Array, Array, Array]:
+    """Of one obstacle and cells at the ends of vectors (n, 3): rows of edges, over which paths have
+    the least roots of phases q, and these, (``kinds``, n): of all; of those on the other side of
+    that one, the cosine between whose directions is below ``opposite``; and the same two of those
+    across the first that paths face, not such as go away from its end. Where there are none, inf.
+
+    And how the first root grows across the line of sight, 1/m, and the square of the angle between
+    both waves over q, (n,); 0 where there is none.
     """
-    edges, roots = kernel(_nearest_pairs)(root_q, faces, np.ascontiguousarray(lit), opposite)
-    return edges, roots
+    lit, direct = (np.ascontiguousarray(x) for x in (rim.lit, direct))
+    edges, roots, grows, angle = kernel(_nearest_edges, _of_edge, _cosine)(
+        rim.lines, lit, direct, radius, wavenumber, opposite, kinds
+    )
+    return edges, roots, grows, angle
 
 
-def _nearest_pairs(
-    root_q: Array, faces: NDArray[np.bool_], lit: Array, opposite: float
-) -> tuple[Indices, Array]:
-    count, every = root_q.shape
-    edges, roots = np.zeros((4, count), dtype=np.int64), np.full((4, count), np.inf)
+def _nearest_edges(
+    lines: Lines,
+    lit: Array,
+    direct: Array,
+    radius: Array,
+    wavenumber: float,
+    opposite: float,
+    kinds: int,
+) -> tuple[Indices, Array, Array, Array]:
+    count, every = len(direct), len(lit)
+    edges, roots = np.zeros((kinds, count), dtype=np.int64), np.full((kinds, count), np.inf)
+    grows, angle = np.zeros((2, count))
+    root_q, faces = np.empty(every), np.empty(every, dtype=np.bool_)
     for i in range(count):
-        for k in range(4):
+        for j in range(every):
+            root_q[j], _, _, faces[j] = _of_edge(lines, j, direct[i], radius[i], wavenumber)
+        for k in range(kinds):
             first, nearest = lit[edges[0, i]], lit[edges[2 * (k // 2), i]]
             for j in range(every):
-                if root_q[i, j] >= roots[k, i]:
+                if root_q[j] >= roots[k, i]:
                     continue
-                if k >= 2 and (not faces[i, j] or abs(np.sum(first * lit[j])) > _ALONG):
+                if k >= 2 and (not faces[j] or abs(_cosine(first, lit[j])) > _ALONG):
                     continue
-                if k % 2 == 1 and np.sum(nearest * lit[j]) >= opposite:
+                if k % 2 == 1 and _cosine(nearest, lit[j]) >= opposite:
                     continue
-                edges[k, i], roots[k, i] = j, root_q[i, j]
-    return edges, roots
+                edges[k, i], roots[k, i] = j, root_q[j]
+        if roots[0, i] < np.inf:
+            closest = _of_edge(lines, edges[0, i], direct[i], radius[i], wavenumber)
+            grows[i], angle[i] = closest[1], closest[2]
+    return edges, roots, grows, angle
 
 
-def _phases(
-    rim: Outline, direct: Array, radius: Array, wavenumber: float
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Of one obstacle and cells at the ends of vectors (n, 3): root of the phase q of the path over
-    each edge, how that grows across the line of sight, 1/m, the square of the angle between both
-    waves over q, and whether that path is shortest between the edge's ends, (n, m).
+def _at_borders(
+    lines: Lines, direct: Array, radius: Array, wavenumber: float
+) -> tuple[Indices, Indices]:
+    """Cells and edges whose shadows' borders go through these."""
+    cell, edge = [0 for _ in range(0)], [0 for _ in range(0)]
+    for i in range(len(direct)):
+        for j in range(len(lines.foot)):
+            if _of_edge(lines, j, direct[i], radius[i], wavenumber)[0] == 0:
+                cell.append(i)
+                edge.append(j)
+    return np.array(cell), np.array(edge)
+
+
+def _cosine(one: Array, other: Array) -> float:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _of_edge(
+    lines: Lines, j: int, direct: Array, radius: float, wavenumber: float
+) -> tuple[float, float, float, bool]:
+    """Of a cell at the end of a vector (3,): root of the phase q of the path over an edge, inf for
+    none, how that grows across the line of sight, 1/m, the square of the angle between both waves
+    over q, and whether that path is shortest between the edge's ends.
     """
-    root_q, grows, angle, is_met = kernel(_of_edges)(
-        np.ascontiguousarray(rim.ends), np.ascontiguousarray(direct), radius, wavenumber
-    )
-    return root_q, grows, angle, is_met
-
-
-def _of_edges(
-    ends: Array, direct: Array, radius: Array, wavenumber: float
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    root_q, grows, angle = np.empty((3, len(direct), len(ends)))
-    is_met = np.empty((len(direct), len(ends)), dtype=np.bool_)
-    for j in range(len(ends)):
-        first, side = ends[j, 0], ends[j, 1] - ends[j, 0]
-        length = np.sqrt(np.sum(side**2))
-        along = side / length
-        # The shortest path over an edge's line is straight once both planes are turned into one.
-        at_source = -np.sum(first * along)
-        foot = first + at_source * along
-        off_source = np.sqrt(np.sum(foot**2))
-        for i in range(len(direct)):
-            x, y, z = direct[i]
-            forward = x * along[0] + y * along[1] + z * along[2]
-            across = x * foot[0] + y * foot[1] + z * foot[2]
-            squared = x * x + y * y + z * z
-            straight = np.sqrt(squared)
-            square = squared - forward * forward - 2 * across + off_source * off_source
-            off_place = np.sqrt(max(square, 0.0))
-            straight_at = at_source + forward * off_source / max(off_source + off_place, 1e-300)
-            at = min(max(straight_at, 0.0), length)
-            a = np.sqrt(off_source**2 + (at - at_source) ** 2)
-            b = max(np.sqrt(off_place**2 + (at - at_source - forward) ** 2), 1e-9)
-            depth = (x * first[0] + y * first[1] + z * first[2] + at * forward) / squared
-            grows[i, j] = np.sqrt(wavenumber * a / (2 * b * (a + b)))
-            angle[i, j] = 2 * a / (wavenumber * b * (a + b))
-            is_met[i, j] = at == straight_at
-            root = np.sqrt(max(wavenumber * (a + b - straight), 0.0))
-            slack = radius[i] / straight
-            is_passed = -slack <= depth <= 1 + slack
-            root_q[i, j] = max(root - radius[i] * grows[i, j], 0.0) if is_passed else np.inf
-    return root_q, grows, angle, is_met
+    forward = _cosine(direct, lines.along[j])
+    across, squared = _cosine(direct, lines.foot[j]), _cosine(direct, direct)
+    straight, at_source, off_source = np.sqrt(squared), lines.at_m[j], lines.off_m[j]
+    # The shortest path over an edge's line is straight once both planes are turned into one.
+    square = squared - forward * forward - 2 * across + off_source * off_source
+    off_place = np.sqrt(max(square, 0.0))
+    straight_at = at_source + forward * off_source / max(off_source + off_place, 1e-300)
+    at = min(max(straight_at, 0.0), lines.length_m[j])
+    is_met, onwards = at == straight_at, at - at_source
+    depth, slack = (across + onwards * forward) / squared, radius / straight
+    if depth < -slack or depth > 1 + slack:
+        return np.inf, 0.0, 0.0, is_met
+    a = np.sqrt(off_source**2 + onwards**2)
+    b = max(np.sqrt(off_place**2 + (onwards - forward) ** 2), 1e-9)
+    grows = np.sqrt(wavenumber * a / (2 * b * (a + b)))
+    root = np.sqrt(max(wavenumber * (a + b - straight), 0.0))
+    return max(root - radius * grows, 0.0), grows, 2 * a / (wavenumber * b * (a + b)), is_met

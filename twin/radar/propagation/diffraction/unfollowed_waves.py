@@ -142,7 +142,7 @@ class _Lit:
 def _over_edges(of: _Lit, rim: Outline, cells: slice) -> FaintWaves:
     """By edges between their ends."""
     k = of.wavenumber
-    cell, edge = kernel(_met)(rim.lines, rim.ends, np.ascontiguousarray(of.center[cells]))
+    cell, edge = kernel(_met)(rim.lines, np.ascontiguousarray(of.center[cells]))
     pair, row = _of_sorted(cell + cells.start, of.size)
     far_m = farthest(of.faintest) / k
     some, longer, towards = kernel(_over)(rim.lines, edge[pair], of.direct, row, far_m)
@@ -173,7 +173,7 @@ def _of_sorted(cell: Indices, size: Indices) -> tuple[Indices, Indices]:
     return pair, np.arange(len(pair)) + first[pair]
 
 
-def _met(lines: Lines, ends: Array, direct: Array) -> tuple[Indices, Indices]:
+def _met(lines: Lines, direct: Array) -> tuple[Indices, Indices]:
     """Cells, at the ends of vectors (n, 3), and edges that shortest paths to them meet."""
     along, foot = lines.along, lines.foot
     cell, edge = [0 for _ in range(0)], [0 for _ in range(0)]
@@ -188,8 +188,7 @@ def _met(lines: Lines, ends: Array, direct: Array) -> tuple[Indices, Indices]:
             at = lines.at_m[j] + forward * off / max(off + off_place, 1e-300)
             if at < 0 or at > lines.length_m[j]:
                 continue
-            first = x * ends[j, 0, 0] + y * ends[j, 0, 1] + z * ends[j, 0, 2]
-            if 0 < first + at * forward < square:
+            if 0 < across + (at - lines.at_m[j]) * forward < square:
                 cell.append(i)
                 edge.append(j)
     return np.array(cell), np.array(edge)

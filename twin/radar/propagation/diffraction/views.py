@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.blocking import (
     NO_WAY,
     NOTHING,
@@ -30,7 +31,6 @@ from twin.radar.propagation.scene.images import Image
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_MOST_PAIRS = 2**18  # of cells and obstacles at once
 _TOGETHER = 256  # outlines of objects that are looked at together
 
 
@@ -203,24 +203,30 @@ def are_beside(
     vectors (n_cells, 3) from a ``source``, (n_cells, n).
     """
     towards = obstacles.centers[others] - source
-    step = max(_MOST_PAIRS // max(len(others), 1), 1)
-    rows = np.split(np.arange(len(direct)), range(step, len(direct), step))
-    deepest = np.sqrt(farthest(obstacles.faintest))
-    size, k = obstacles.radii[others], obstacles.wavenumber
-    parts = [_gaps(towards, size, direct[some], radius[some], k) <= deepest for some in rows]
-    return np.concatenate(parts)
+    farthest_q, k = farthest(obstacles.faintest), obstacles.wavenumber
+    beside: NDArray[np.bool_] = kernel(_are_beside)(
+        towards, obstacles.radii[others], np.ascontiguousarray(direct), radius, k, farthest_q
+    )
+    return beside
 
 
-def _gaps(towards: Array, size: Array, direct: Array, radius: Array, wavenumber: float) -> Array:
-    """Root of q of a path round the bounding sphere of each obstacle, at vectors (n, 3) and of
-    radii (n,), at least, (n_cells, n).
+def _are_beside(
+    towards: Array, size: Array, direct: Array, radius: Array, wavenumber: float, farthest_q: float
+) -> NDArray[np.bool_]:
+    """Whether the phase q of a path round the bounding sphere of each obstacle, at vectors (n, 3)
+    and of radii (n,), is at least no more than the farthest, (n_cells, n).
     """
-    length = np.linalg.norm(direct, axis=1)[:, None]
-    forward = direct @ towards.T / length
-    along = np.clip(forward, 0, length)
-    square = np.sum(towards**2, axis=1) - 2 * along * forward + along**2
-    share = np.clip(along / length, 1e-6, 1.0)
-    gap = np.sqrt(np.maximum(square, 0)) - size - radius[:, None] * share
-    bend = wavenumber / (2 * length * share * np.maximum(1 - share, 1e-6))
-    root_q: Array = np.sqrt(bend) * np.maximum(gap, 0)
-    return root_q
+    beside = np.empty((len(direct), len(towards)), dtype=np.bool_)
+    for i in range(len(direct)):
+        length = np.sqrt(np.sum(direct[i] ** 2))
+        x, y, z = direct[i] / length
+        for j in range(len(towards)):
+            a, b, c = towards[j]
+            forward = x * a + y * b + z * c
+            along = min(max(forward, 0.0), length)
+            square = a * a + b * b + c * c - 2 * along * forward + along * along
+            share = max(along / length, 1e-6)
+            gap = max(np.sqrt(max(square, 0.0)) - size[j] - radius[i] * share, 0.0)
+            bend = wavenumber / (2 * length * share * max(1 - share, 1e-6))
+            beside[i, j] = bend * gap * gap <= farthest_q
+    return beside

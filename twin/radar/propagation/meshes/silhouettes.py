@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.rows import dots, lengths
+from hardware.compiled import kernel
 from twin.scene import SceneObject
 
 Array = NDArray[np.float64]
@@ -34,12 +34,20 @@ class Lines(NamedTuple):
     @staticmethod
     def of(ends: Array) -> "Lines":
         """Of edges with ends (n, 2, 3) relative to the source."""
-        first, side = ends[:, 0], ends[:, 1] - ends[:, 0]
-        length_m = lengths(side)
-        along = side / length_m[:, None]
-        at_m = -dots(first, along)
-        foot = first + at_m[:, None] * along
-        return Lines(along, length_m, foot, at_m, lengths(foot))
+        return Lines(*kernel(_lines)(np.ascontiguousarray(ends)))
+
+
+def _lines(ends: Array) -> tuple[Array, Array, Array, Array, Array]:
+    along, foot = np.empty((2, len(ends), 3))
+    length_m, at_m, off_m = np.empty((3, len(ends)))
+    for i in range(len(ends)):
+        side = ends[i, 1] - ends[i, 0]
+        length_m[i] = np.sqrt(np.sum(side**2))
+        along[i] = side / length_m[i]
+        at_m[i] = -np.sum(ends[i, 0] * along[i])
+        foot[i] = ends[i, 0] + at_m[i] * along[i]
+        off_m[i] = np.sqrt(np.sum(foot[i] ** 2))
+    return along, length_m, foot, at_m, off_m
 
 
 @dataclass(frozen=True, eq=False)
