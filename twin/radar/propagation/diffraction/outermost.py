@@ -11,6 +11,7 @@ counts. Where one rim passes below another both end, and the light is between th
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from twin.radar.propagation.diffraction.rims import unsure_m
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
+from twin.radar.rows import lengths
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
 from twin.transfer import host, vector
@@ -66,7 +68,7 @@ class _Pieces:
         """Of an outline, nothing known yet."""
         pieces, edge, piece, count = _pieces(rim, wavelength_m)
         middle = pieces.ends.mean(axis=1)
-        sight = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+        sight = middle / lengths(middle)[:, None]
         aside_m = _aside_m(middle, wavelength_m)
         unknown, groups = np.full_like(aside_m, np.nan), np.full(len(edge), group)
         return _Pieces(pieces, edge, piece, count[edge], groups, sight, aside_m, unknown)
@@ -85,17 +87,22 @@ class _Pieces:
         rest = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
         return _Pieces(Outline.together([part.outline for part in parts]), *rest)
 
-    @property
+    @cached_property
+    def middle(self) -> Array:
+        """From the source, (n, 3)."""
+        middle: Array = (self.outline.ends[:, 0] + self.outline.ends[:, 1]) / 2
+        return middle
+
+    @cached_property
     def distance_m(self) -> Array:
         """From the source, (n,)."""
-        distance: Array = np.linalg.norm(self.outline.ends.mean(axis=1), axis=1)
-        return distance
+        return lengths(self.middle)
 
-    @property
+    @cached_property
     def longest(self) -> float:
         """As an angle."""
         side = self.outline.ends[:, 1] - self.outline.ends[:, 0]
-        return float(np.max(np.linalg.norm(side, axis=1) / self.distance_m, initial=0.0))
+        return float(np.max(lengths(side) / self.distance_m, initial=0.0))
 
 
 class OuterRims:
@@ -147,16 +154,20 @@ class OuterRims:
         """Pieces of members, and of what is close those on their lines of sight; of several at one
         place that of the first object comes first.
         """
-        parts = {member: self._known(member, own) for member in members.tolist()}
+        self._find(dict.fromkeys(members.tolist()), own)
+        parts = {member: self._of(member, own) for member in members.tolist()}
         tree = cKDTree(np.concatenate([part.sight for part in parts.values()]))
         longest = max(part.longest for part in parts.values())
+        beside = {}
         for other in np.setdiff1d(close, members).tolist() if tree.n else ():
             rest = self._of(other, own)
             size = 2 * _MEET * _PIECE * np.sqrt(self._wavelength_m / rest.distance_m)
             reach = size.max(initial=0) + (longest + rest.longest) / 2
             near = np.isfinite(tree.query(rest.sight, distance_upper_bound=reach)[0])
             if near.any():
-                parts[other] = self._known(other, own, np.flatnonzero(near))
+                beside[other] = np.flatnonzero(near)
+        self._find(beside, own)
+        parts |= {other: self._of(other, own).take(rows) for other, rows in beside.items()}
         return _Group({k: parts[k] for k in sorted(parts)}, self._wavelength_m)
 
     def _of(self, item: int, own: int) -> _Pieces:
@@ -167,28 +178,37 @@ class OuterRims:
             )
         return self._pieces[item, own]
 
-    def _known(self, item: int, own: int, rows: Indices | None = None) -> _Pieces:
-        """All pieces or some, with what hides them."""
-        pieces = self._of(item, own)
-        rows = np.arange(len(pieces.edge)) if rows is None else rows
-        if len(new := rows[np.isnan(pieces.from_m[rows, 0])]):
-            pieces.from_m[new] = self._hidden_from_m(item, own, pieces.take(new))
-        return pieces.take(rows)
+    def _find(self, wanted: "dict[int, Indices | None]", own: int) -> None:
+        """What hides pieces of objects, all of them or some, where that is not known yet."""
+        new = {}
+        for item, rows in wanted.items():
+            unknown = np.isnan(self._of(item, own).from_m[:, 0])
+            some = np.flatnonzero(unknown) if rows is None else rows[unknown[rows]]
+            if len(some):
+                new[item] = some
+        if new:
+            parts = [self._of(item, own).take(rows) for item, rows in new.items()]
+            found = self._hidden_from_m(list(new), own, parts)
+            for (item, rows), from_m in zip(new.items(), found, strict=True):
+                self._of(item, own).from_m[rows] = from_m
 
-    def _hidden_from_m(self, item: int, own: int, pieces: _Pieces) -> Array:
-        """By the object or what is close to it, but for parts of a body."""
-        is_part = np.zeros(len(self._prepared.originals), dtype=bool)
-        is_part[[item, *self._close[item]]] = True
-        is_part[: len(self._owner)] &= (self._owner != own) | (own < 0)
-        towards = pieces.outline.ends.mean(axis=1)[:, None]
-        towards = towards + pieces.aside_m[..., None] * pieces.outline.lit[:, None]
-        met_m, what = _first_met(self._prepared, is_part, self._source, towards.reshape(-1, 3))
-        met_m, what = met_m.reshape(pieces.aside_m.shape), what.reshape(pieces.aside_m.shape)
-        rim_m = pieces.distance_m[:, None]
-        touches = (what >= 0) & (self._group[what] == self._group[item])
+    def _hidden_from_m(self, items: list[int], own: int, parts: list[_Pieces]) -> list[Array]:
+        """Pieces of each object by itself or what is close to it, but for parts of a body."""
+        is_part = np.zeros((len(items), len(self._prepared.originals)), dtype=bool)
+        for row, item in enumerate(items):
+            is_part[row, [item, *self._close[item]]] = True
+        is_part[:, : len(self._owner)] &= (self._owner != own) | (own < 0)
+        every, sizes = _Pieces.together(parts), [len(part.edge) for part in parts]
+        towards = every.middle[:, None] + every.aside_m[..., None] * every.outline.lit[:, None]
+        which = np.repeat(np.arange(len(items)), sizes).repeat(_STEPS)
+        found = _first_met(self._prepared, is_part, which, self._source, towards.reshape(-1, 3))
+        met_m, what = (x.reshape(every.aside_m.shape) for x in found)
+        rim_m = every.distance_m[:, None]
+        touches = (what >= 0) & (self._group[what] == every.group[:, None])
         from_m = _one_from_m(rim_m, met_m, np.where(touches, _APART, _APART_SINGLY))
         # What touches the object before the rim hides it however far before.
-        return np.where(touches & (met_m < rim_m), 0.0, from_m)
+        from_m = np.where(touches & (met_m < rim_m), 0.0, from_m)
+        return np.split(from_m, np.cumsum(sizes)[:-1])
 
     def passed_singly(self, items: Indices, at_m: Array, reach_m: Array) -> Flags:
         """Whether waves to points pass edges of two objects, (n, 2), one after the other."""
@@ -207,7 +227,7 @@ class _Group:
         self._objects = list(parts)
         self._pieces, self._wavelength_m = _Pieces.together(every), wavelength_m
         self._far, self._near, self._one_from_m = _behind_others(self._pieces)
-        self._depths_m = np.unique([*self._pieces.from_m.ravel(), *self._one_from_m])
+        self._depths_m = np.unique(np.append(self._pieces.from_m, self._one_from_m))
         self._at: dict[int, dict[int, Outline]] = {}
         self._found: dict[bytes, dict[int, Outline]] = {}
 
@@ -268,13 +288,14 @@ def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:
 
 
 def _first_met(
-    prepared: PreparedScene, is_part: Flags, source: Array, towards: Array
+    prepared: PreparedScene, is_part: Flags, which: Indices, source: Array, towards: Array
 ) -> tuple[Array, Indices]:
     """How far from a source rays in directions (n, 3) first meet any of some objects, inf: never;
-    and the number of that object, -1: none.
+    and the number of that object, -1: none. Of each ray those ``which`` of the rows of ``is_part``,
+    (k, n_objects), tells.
     """
     mi, count = prepared.context.mi, len(towards)
-    direction = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    direction = towards / lengths(towards)[:, None]
     objects = prepared.world.object_of_face.astype(np.int64)
     met, what, begin = np.full(count, np.inf), np.full(count, -1), np.zeros(count)
     rows = np.arange(count)
@@ -285,7 +306,7 @@ def _first_met(
         is_there, face, distance = host([hit.is_valid(), hit.prim_index, hit.t], len(rows))
         begin[rows] += np.where(is_there, distance, 0)
         number = objects[np.where(is_there, face, 0)]
-        meets_part = is_there & is_part[number]
+        meets_part = is_there & is_part[which[rows], number]
         met[rows[meets_part]] = begin[rows[meets_part]]
         what[rows[meets_part]] = number[meets_part]
         begin[rows] += _ON * np.where(is_there, distance, 0) + _ON_M
@@ -352,18 +373,19 @@ def _runs(pieces: _Pieces, room_m: Array) -> tuple[Outline, Indices]:
     """Pieces of one edge that follow each other as one, and the edge of each; those without room
     are left out. Ends within an edge are corners of their own.
     """
-    some, room_m = pieces.take(np.flatnonzero(room_m > 0)), room_m[room_m > 0]
-    rim, edge, piece = some.outline, some.edge, some.piece
-    follows = (np.diff(edge, prepend=-1) == 0) & (np.diff(piece, prepend=-1) == 1)
-    first = np.flatnonzero(~follows)
-    last = np.append(first[1:], len(edge)) - 1 if len(first) else first
+    rim, some = pieces.outline, np.flatnonzero(room_m > 0)
+    edge, piece = pieces.edge[some], pieces.piece[some]
+    follows = np.zeros(len(some), dtype=bool)
+    follows[1:] = (edge[1:] == edge[:-1]) & (piece[1:] == piece[:-1] + 1)
+    begin = np.flatnonzero(~follows)
+    first, last = some[begin], some[np.append(begin[1:], len(some))[: len(begin)] - 1]
     ends = np.stack([rim.ends[first, 0], rim.ends[last, 1]], axis=1)
-    is_cut = np.stack([piece[first] > 0, piece[last] + 1 < some.count[last]], axis=1)
+    is_cut = [pieces.piece[first] > 0, pieces.piece[last] + 1 < pieces.count[last]]
     number = int(rim.corner.max(initial=-1)) + 1 + np.arange(2 * len(first)).reshape(-1, 2)
-    corner = np.where(is_cut, number, rim.corner[first])
+    corner = np.where(np.stack(is_cut, axis=1), number, rim.corner[first])
     runs = Outline.of(ends, rim.edge[first], corner, rim.lit[first])
-    room = np.minimum.reduceat(room_m, first) if len(first) else room_m
-    return replace(runs, room_m=room), edge[first]
+    room = np.minimum.reduceat(room_m[some], begin) if len(begin) else room_m[some]
+    return replace(runs, room_m=room), pieces.edge[first]
 
 
 def _joined(rim: Outline, wavelength_m: float) -> Outline:

@@ -121,9 +121,8 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     edges = item.geometry.edges
     points = item.vertices_m - source_m
     size = float(np.abs(points[edges.ends]).max(initial=0.0))
-    a, b, c = (points[edges.faces[:, i]] + _ASIDE * size for i in range(3))
-    turn = np.sum(np.cross(a, b) * c, axis=1)
-    side = np.repeat(np.where(turn > 0, 1, -1), 3) * edges.along
+    faces = np.ascontiguousarray(edges.faces)
+    side = kernel(_sides)(np.ascontiguousarray(points), faces, _ASIDE * size) * edges.along
     balance = np.add.reduceat(side[edges.half_edges], edges.first) if len(edges.first) else side
     on_it = np.flatnonzero(np.abs(balance) == edges.count)
     ends = points[edges.ends[on_it]]
@@ -132,3 +131,18 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     seen = length > 1e-12 * size**2  # not end on
     lit = lit[seen] / length[seen, None]
     return Outline.of(ends[seen], on_it[seen], edges.ends[on_it][seen], lit)
+
+
+def _sides(points: Array, faces: Indices, aside: Array) -> Indices:
+    """Of the three half-edges of each face, (3 n,): 1 of faces that turn their inside to a place
+    ``aside`` of the origin, else -1.
+    """
+    side = np.empty(3 * len(faces), dtype=np.int64)
+    for i in range(len(faces)):
+        a, b, c = points[faces[i, 0]], points[faces[i, 1]], points[faces[i, 2]]
+        x, y, z = a[0] + aside[0], a[1] + aside[1], a[2] + aside[2]
+        u, v, w = b[0] + aside[0], b[1] + aside[1], b[2] + aside[2]
+        turn = (y * w - z * v) * (c[0] + aside[0])
+        turn += (z * u - x * w) * (c[1] + aside[1]) + (x * v - y * u) * (c[2] + aside[2])
+        side[3 * i : 3 * i + 3] = 1 if turn > 0 else -1
+    return side
