@@ -13,10 +13,11 @@ _K, _STEP, _BIN_M = 1655.0, two_way_echoes._STEP, two_way_echoes._BIN_M
 
 def _means(longer_m: np.ndarray, factor: np.ndarray, by: float) -> np.ndarray:
     """Over triangles, of values (3, n) at the corners; the second leg changes nothing."""
-    longer_m, factor = np.append(longer_m, 0.0), np.append(factor, 1.0)
-    waves = longer_m, factor, phasors(-_K * longer_m), phasors(-by * longer_m)
-    number = np.arange(len(factor) - 1).reshape(3, -1)
-    return mean_waves(waves, number, np.full_like(number, number.size), _K, by)[0]
+    number, triangle = np.arange(longer_m.size).reshape(3, -1), np.arange(longer_m.shape[1])
+    longer_m = np.append(longer_m, np.zeros_like(longer_m))
+    waves = longer_m, np.append(factor, np.ones_like(factor)), phasors(-_K * longer_m)
+    first = np.multiply.outer([0, number.size], np.ones_like(triangle))
+    return mean_waves((*waves, phasors(-by * longer_m)), first, number, triangle, _K, by)[0]
 
 
 def test_means_over_triangles_are_gauss_integrals() -> None:

@@ -38,8 +38,9 @@ def mean_phasors(corners: Array, slope: Array) -> Complex:
 
 def mean_waves(
     legs: tuple[Array, Complex, Complex, Complex],
-    one: Indices,
-    other: Indices,
+    first: Indices,
+    corners: Indices,
+    triangle: Indices,
     wavenumber: float,
     by: float,
 ) -> tuple[Complex, Array]:
@@ -47,10 +48,11 @@ def mean_waves(
     rad/m, (3, n), and the mean lengths of both legs, (n,).
 
     Of all legs to all corners, (m,): by how much each is longer, its amplitude, and phasors of
-    that length, at the middle wavenumber and for ``by``. ``one`` and ``other`` (3, n): rows of both
-    legs of each triangle's corners.
+    that length, at the middle wavenumber and for ``by``. ``first`` (2, n): rows of both legs to
+    the corner of number 0; ``corners`` (3, n_triangles): numbers of those of each triangle;
+    ``triangle`` (n,).
     """
-    rows = (np.ascontiguousarray(one), np.ascontiguousarray(other))
+    rows = (first, np.ascontiguousarray(corners), triangle)
     means, longer_m = kernel(_mean_waves, _mean_wave, _along, _change)(*legs, *rows, wavenumber, by)
     return means, longer_m
 
@@ -115,23 +117,25 @@ def _mean_waves(
     leg_factor: Complex,
     leg_phasor: Complex,
     leg_step: Complex,
-    one: Indices,
-    other: Indices,
+    first: Indices,
+    corners: Indices,
+    triangle: Indices,
     wavenumber: float,
     by: float,
 ) -> tuple[Complex, Array]:
-    count = one.shape[1]
+    count = len(triangle)
     means, longer_m = np.empty((3, count), dtype=np.complex128), np.empty(count)
     length, factor = np.empty(3), np.empty(3, dtype=np.complex128)
     wave, step = np.empty((2, 3), dtype=np.complex128)
     for i in range(count):
+        one, other, corner = first[0, i], first[1, i], corners[:, triangle[i]]
         for c in range(3):
-            length[c] = leg_m[one[c, i]] + leg_m[other[c, i]]
+            length[c] = leg_m[one + corner[c]] + leg_m[other + corner[c]]
         x, y, z = length
         longer_m[i] = (x + y + z) / 3
         order = _ORDER[int(x > y) + 2 * int(x > z) + 4 * int(y > z)]
         for c in range(3):
-            p, q = one[order[c], i], other[order[c], i]
+            p, q = one + corner[order[c]], other + corner[order[c]]
             factor[c] = leg_factor[p] * leg_factor[q]
             step[c] = leg_step[p] * leg_step[q]
             wave[c] = leg_phasor[p] * leg_phasor[q] * step[c].conjugate()

@@ -144,11 +144,9 @@ def _of_ways(
     paths, number = np.unique(both, return_inverse=True)
     legs = _Legs.of(obstacles, corners, ways, paths)
     way, facet = matching_pairs(ways.cell[both[0]], facets.cell)
-    p, q = (
-        legs.first[ends][way] + corners.of_facet[:, facet] for ends in number.reshape(both.shape)
-    )
-    means, longer_m = mean_waves(legs.waves, p, q, obstacles.wavenumber, _STEP)
-    askew = _askew(ways, paths, number.reshape(both.shape)[:, way], facets.across[facet])
+    ends, k = number.reshape(both.shape)[:, way], obstacles.wavenumber
+    means, longer_m = mean_waves(legs.waves, legs.first[ends], corners.of_facet, facet, k, _STEP)
+    askew = _askew(ways, paths, ends, facets.across, facet)
     less, mean, more = current[facet] * ways.share[rows][way] * askew * means
     total, pair, bins = _binned(
         less,
@@ -156,31 +154,33 @@ def _of_ways(
         more,
         longer_m,
         way * (int(facets.object.max()) + 1) + facets.object[facet],
-        obstacles.wavenumber,
+        k,
     )
     found = _both_ways(obstacles, facets.take(facet[pair]), total, ways, both[:, way[pair]], bins)
     return found, sums(way, mean, len(rows)) * _spread(obstacles, ways, both)
 
 
-def _askew(ways: Ways, paths: Indices, ends: Indices, normal: Array) -> Array:
-    """By how much more current facets (n, 3) have of the waves of two paths, rows ``ends`` (2, n)
-    of some ``paths``, than of the straight waves, whose currents they are given: currents grow with
-    the cosines of these.
+def _askew(ways: Ways, paths: Indices, ends: Indices, normal: Array, facet: Indices) -> Array:
+    """By how much more current each ``facet`` (n,) of some with normals (m, 3) has of the waves of
+    two paths, rows ``ends`` (2, n) of some ``paths``, than of the straight waves, whose currents
+    they are given: currents grow with the cosines of these.
     """
     straight = ways.bends.source[paths] - ways.bends.known[paths]
     straight /= lengths(straight)[:, None]
-    share: Array = kernel(_more_facing)(normal, ways.paths.back[paths], straight, *ends)
+    share: Array = kernel(_more_facing)(normal, facet, ways.paths.back[paths], straight, *ends)
     return share
 
 
-def _more_facing(normal: Array, own: Array, given: Array, one: Indices, other: Indices) -> Array:
-    share = np.ones(len(normal))
-    for i in range(len(normal)):
-        p, q = one[i], other[i]
+def _more_facing(
+    normals: Array, facet: Indices, own: Array, given: Array, one: Indices, other: Indices
+) -> Array:
+    share = np.ones(len(facet))
+    for i in range(len(facet)):
+        normal, p, q = normals[facet[i]], one[i], other[i]
         faces, facing = 0.0, 0.0
         for axis in range(3):
-            faces += normal[i, axis] * (own[p, axis] + own[q, axis])
-            facing += normal[i, axis] * (given[p, axis] + given[q, axis])
+            faces += normal[axis] * (own[p, axis] + own[q, axis])
+            facing += normal[axis] * (given[p, axis] + given[q, axis])
         # Edge-on to the straight waves, a facet has no current of them, whatever the factor.
         if facing != 0:
             share[i] = min(max(faces / facing, 0.0), _MOST_ASKEW)

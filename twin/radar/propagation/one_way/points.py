@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import speed_of_light
 
+from hardware.compiled import kernel
 from twin.radar.propagation.one_way.internal_reflections import (
     InternalReflections,
     with_internal_reflections,
 )
-from twin.radar.propagation.one_way.motion import lengthening, turning
+from twin.radar.propagation.one_way.motion import NEAREST_M
 from twin.radar.propagation.one_way.path import TracingContext, one_way_path
 from twin.radar.synthesis import Contributions
 from twin.transfer import aligned, host, vector
@@ -52,6 +53,16 @@ class PointPaths:
         level: Array = np.linalg.norm(self.field, axis=1)
         return level
 
+    def changes(self, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+        """How the straight paths to points, which move so, (n, 3) or (3,), change: first and second
+        derivative of their lengths, (n,), m/s and m/s^2, and that of the directions from the image,
+        in its own axes, (n, 3), 1/s; as `lengthening` and `turning` tell.
+        """
+        moving = [np.broadcast_to(x, self.back.shape) for x in (velocity, acceleration)]
+        own = (self.velocity, self.acceleration, self.spin, self.axes, self.back, self.length)
+        rate, faster, turn = kernel(_changes)(*map(np.ascontiguousarray, (*moving, *own)))
+        return rate, faster, turn
+
     def take(self, which: Any) -> "PointPaths":
         """Only some of them, by index or mask."""
         own = {f.name: getattr(self, f.name)[which] for f in fields(self)[:-1]}
@@ -69,6 +80,34 @@ class PointPaths:
         own = {f.name: all_of(f.name) for f in fields(PointPaths)[:-1]}
         rings = [np.concatenate([getattr(p.ring, n) for p in parts]) for n in ("rho", "lag_m")]
         return PointPaths(**own, ring=InternalReflections(*rings))
+
+
+def _changes(
+    velocity: Array,
+    acceleration: Array,
+    own_velocity: Array,
+    own_acceleration: Array,
+    spin: Array,
+    axes: Array,
+    back: Array,
+    length: Array,
+) -> tuple[Array, Array, Array]:
+    rate, faster = np.zeros((2, len(back)))
+    turn, across = np.zeros(back.shape), np.empty(3)
+    for i in range(len(back)):
+        for k in range(3):
+            rate[i] -= (velocity[i, k] - own_velocity[i, k]) * back[i, k]
+        distance = max(length[i], NEAREST_M)
+        for k in range(3):
+            across[k] = velocity[i, k] - own_velocity[i, k] + rate[i] * back[i, k]
+            faster[i] += across[k] * across[k] / distance
+            faster[i] -= (acceleration[i, k] - own_acceleration[i, k]) * back[i, k]
+        for k in range(3):
+            m, n = (k + 1) % 3, (k + 2) % 3
+            turned = across[k] / distance + spin[i, m] * back[i, n] - spin[i, n] * back[i, m]
+            for axis in range(3):
+                turn[i, axis] += axes[i, axis, k] * turned
+    return rate, faster, turn
 
 
 def paths_to_points(
@@ -132,29 +171,23 @@ def between(
     """
     paths = (forward_path, return_path)
     velocity, acceleration = motion
-    moved = [(velocity - path.velocity, -path.back, path.length) for path in paths]
-    rates = [
-        lengthening(*way, acceleration - path.acceleration)
-        for path, way in zip(paths, moved, strict=True)
-    ]
-    turns = [
-        np.einsum("nij,nj->ni", path.axes, turning(*way) + np.cross(path.spin, path.back))
-        for path, way in zip(paths, moved, strict=True)
-    ]
+    (rate, faster, turn), (other_rate, other_faster, other_turn) = (
+        path.changes(velocity, acceleration) for path in paths
+    )
     length_m = forward_path.length + forward_path.extra + return_path.length + return_path.extra
-    rate_m_per_s = rates[0][0] + rates[1][0] + forward_path.rate + return_path.rate
+    rate_m_per_s = rate + other_rate + forward_path.rate + return_path.rate
     once = Contributions(
         amplitude=amplitude / (forward_path.length * return_path.length),
         delay_s=length_m / speed_of_light,
         delay_rate=rate_m_per_s / speed_of_light,
-        delay_acceleration_per_s=(rates[0][1] + rates[1][1]) / speed_of_light,
+        delay_acceleration_per_s=(faster + other_faster) / speed_of_light,
         departure=forward_path.departure,
         arrival=return_path.departure,
         object=np.asarray(number, dtype=np.uint32),
         source=forward_path.source,
         receiver=return_path.source,
-        departure_per_s=turns[0],
-        arrival_per_s=turns[1],
+        departure_per_s=turn,
+        arrival_per_s=other_turn,
     )
     alike = forward_path.source == return_path.source
     return with_internal_reflections(once, length_m, forward_path.ring, return_path.ring, alike)
