@@ -143,7 +143,7 @@ def echoes(
     of_edges = at_antenna(edges.echoes, prepared, radar)
     clutter, on_clutter = surface_clutter(scene, prepared, rough, fidelity)
     # In rooms there are millions: as at the antenna alone they are kept, and joined once.
-    diffuse = [of_edges, *(at_antenna(part, prepared, radar) for part in clutter)]
+    diffuse = [*(at_antenna(part, prepared, radar) for part in clutter), of_edges]
     diffuse = [echoes.in_proportion_to_wavelength() for echoes in diffuse]
     mirrors = _mirrors(scene, roles, prepared, radar, fidelity)
     declared = declared_alone(scene, roles)
@@ -159,11 +159,10 @@ def echoes(
     of_two_edges, missing = over_two_edges(levels, radar, of_edges)
     left_out = np.hypot(left_out / levels.reference, missing)
     loss = loss_of(radar)
-    profiles = levels.profiles(
-        Contributions.concatenate([surfaces, of_edges]), of_bodies.by_range.times(loss), radar.ofdm
-    )
-    bodies = levels.bodies(of_bodies.error * loss, left_out, profiles, is_bounded=not unbounded)
     every = Contributions.concatenate([paths, *diffuse, surfaces])
+    of_facets = every.take(slice(len(every) - len(surfaces) - len(of_edges), None))
+    profiles = levels.profiles(of_facets, of_bodies.by_range.times(loss), radar.ofdm)
+    bodies = levels.bodies(of_bodies.error * loss, left_out, profiles, is_bounded=not unbounded)
     return Propagation(
         every,
         names,

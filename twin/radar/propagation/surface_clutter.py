@@ -24,6 +24,7 @@ from twin.geometry import Geometry
 from twin.radar.propagation.one_way.motion import RigidMotions
 from twin.radar.propagation.one_way.path import LEVEL, TracingContext, offset_m
 from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
+from twin.radar.rows import lengths
 from twin.radar.synthesis import Contributions
 from twin.scene import SceneObject
 
@@ -164,7 +165,7 @@ def _ahead(
         index=index,
         place=at[index],
         normal=unit[face[index]],
-        distance=np.linalg.norm(towards[index], axis=1),
+        distance=lengths(towards[index]),
         phase=field.phase[index],
         area=np.full(len(index), field.area_m2),
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.rows import alike
+from twin.radar.rows import alike, phasors
 from twin.radar.synthesis.contributions import Contributions
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def _joined(
     parts = []
     for number, share in ((lower, 1 + lower - steps), (lower + 1, steps - lower)):
         delay_s: Array = (number * resolution.delay_s).astype(np.float64)
-        wave = received * share * np.exp(1j * (k * (delay_s - echoes.delay_s) % (2 * np.pi)))
+        wave = received * share * phasors(k * (delay_s - echoes.delay_s) % (2 * np.pi))
         parts.append(replace(echoes, amplitude=wave, delay_s=delay_s))
     both = Contributions.concatenate(parts)
     group = alike([*_numbers(echoes), *_in_steps(echoes, resolution)])

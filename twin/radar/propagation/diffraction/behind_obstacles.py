@@ -131,7 +131,7 @@ def echoes_behind(
         np.linalg.norm([getattr(part, name) for part in parts], axis=0)
         for name in ("bound", "left_out")
     )
-    echoes = Contributions.concatenate([part.echoes for part in parts])
+    echoes = Contributions.concatenate([echoes for part in parts for echoes in part.echoes])
     return RoundObstacles(echoes, bound, left_out, too_large)
 
 
@@ -140,7 +140,7 @@ class _Part(NamedTuple):
     what is ``left_out`` or uncertain.
     """
 
-    echoes: Contributions
+    echoes: list[Contributions]
     bound: Array
     left_out: Array
 
@@ -177,7 +177,7 @@ def _by_sides(
 ) -> _Part:
     """What flat sides of obstacles add on direct ways, where it counts."""
     added, unsure = np.zeros((2, len(accepted.limit)))
-    parts, views = [Contributions.none()], two_views(obstacles, 0, 0)
+    parts, views = [], two_views(obstacles, 0, 0)
     for body in bodies.tolist() if obstacles.sides else ():
         facets, _ = coarse(views, body)
         found = side_echoes(obstacles, facets, body, surface_of_object, gain)
@@ -186,7 +186,7 @@ def _by_sides(
             parts.append(echoes)
         else:
             unsure[body] = added[body]
-    return _Part(Contributions.concatenate(parts), added, unsure)
+    return _Part(parts, added, unsure)
 
 
 class _OfBody(NamedTuple):
@@ -288,13 +288,13 @@ def _contributions(
     gain: Gain,
     accepted: Accepted,
     left_out: Array,
-) -> tuple[Contributions, Array]:
+) -> tuple[list[Contributions], Array]:
     """Of those cells that count the most, and what these are off by, (n_bodies,); the rest is added
     to ``left_out``, and all of it is by as much too large as the estimates of these.
     """
     estimate, level, unsure = np.zeros((3, len(left_out)))
     if not candidates:
-        return Contributions.none(), level
+        return [], level
     over = np.concatenate([c.change / accepted.limit[c.body] for c in candidates])
     most = accepted.most
     least = -np.partition(-over, most)[most] if most < len(over) else 0.0
@@ -317,7 +317,7 @@ def _contributions(
     left_out *= np.minimum(_OF_RATIO * ratio, 1.0)
     more = np.divide(unsure, level, out=np.ones_like(level), where=level > 0)
     of_cells = more * np.minimum(_OF_CELLS * accepted.fineness * estimate, _OF_ECHOES * level)
-    return Contributions.concatenate(parts), of_cells
+    return parts, of_cells
 
 
 def _taken(change: Array, limit: float, most: int) -> NDArray[np.bool_]:

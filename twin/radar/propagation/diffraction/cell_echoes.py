@@ -73,7 +73,7 @@ def cell_echoes(
     level = np.abs(gains[ways.cell] * of_paths)
     has_twice = np.bincount(ways.cell, ways.bends.is_twice) > 0
     unsure = level * np.where(has_twice[ways.cell], _OVER_TWO, 1.0)
-    both = Contributions.concatenate([echoes, beyond])
+    both = Contributions.concatenate([*echoes, *beyond])
     return both, float(np.linalg.norm(level)), float(np.linalg.norm(unsure))
 
 

@@ -102,7 +102,7 @@ def _by_side(
         share *= np.exp(1j * k * length_m)
         paths = replace(straight, extra=straight.extra + length_m / 2)  # out, and back
         alone = Ways(every, paths, none, every, every, np.ones(len(place), dtype=complex))
-        parts.append(summed(obstacles, near, current * share, alone)[0])
+        parts += summed(obstacles, near, current * share, alone)[0]
     square = np.abs(current * mean) ** 2
     beside = square @ side.adds_edge_waves_alone(near.middle - source, is_mirror=is_known)
     return Contributions.concatenate(parts), float(beside / max(square.sum(), 1e-300))

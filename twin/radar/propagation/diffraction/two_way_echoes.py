@@ -106,7 +106,7 @@ class _Legs:
 
 def summed(
     obstacles: Screens, facets: Facets, current: Complex, ways: Ways
-) -> tuple[Contributions, Complex]:
+) -> tuple[list[Contributions], Complex]:
     """Contributions of facets with amplitudes (n,) by all ways to their cells; those of nearly the
     same path length as one. And the sum over each way at the carrier, (n_ways,), without the
     internal reflections of walls.
@@ -126,7 +126,7 @@ def summed(
     for portion in portions:
         found, total[portion] = _of_ways(obstacles, facets, corners, current, ways, portion)
         parts.append(found)
-    return Contributions.concatenate(parts), total
+    return parts, total
 
 
 def _of_ways(

@@ -18,7 +18,6 @@ from hardware.compiled import kernel
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import end_waves, farthest
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
-from twin.radar.propagation.diffraction.two_way_echoes import sums
 from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.meshes.silhouettes import Lines, Outline
 from twin.radar.rows import dots, lengths, phasors
@@ -231,13 +230,21 @@ def _powers(owner: Indices, length: Array, wave: Complex, count: int) -> Array:
     cut between them.
     """
     number = np.floor(length / _BIN_M).astype(np.int64)
-    turn = np.pi / 2 * (length / _BIN_M - number)
     least, most = np.full(count, np.iinfo(np.int64).max), np.full(count, -2)
     np.minimum.at(least, owner, number)
     np.maximum.at(most, owner, number)
     span = np.where(most < 0, 0, most - least + 2)
     key = (np.cumsum(span) - span - least)[owner] + number
-    total = sums(key, np.cos(turn) * wave, span.sum())
-    total += sums(key + 1, np.sin(turn) * wave, span.sum())
+    turn = np.pi / 2 * (length / _BIN_M - number)
+    total = kernel(_divided)(key, turn, wave, int(span.sum()))
     powers = np.bincount(np.repeat(np.arange(count), span), np.abs(total) ** 2, count)
     return np.asarray(powers, dtype=np.float64)
+
+
+def _divided(key: Indices, turn: Array, wave: Complex, count: int) -> Complex:
+    """Sums of waves (n,), each divided between one of ``count`` lengths and the next."""
+    total = np.zeros(count, dtype=np.complex128)
+    for i in range(len(key)):
+        total[key[i]] += np.cos(turn[i]) * wave[i]
+        total[key[i] + 1] += np.sin(turn[i]) * wave[i]
+    return total

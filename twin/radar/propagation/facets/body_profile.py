@@ -8,6 +8,7 @@ from scipy.constants import speed_of_light
 
 from hardware.waveform import OfdmWaveform
 from twin.radar.propagation.facets.errors_by_range import ErrorsByRange
+from twin.radar.rows import phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def body_profiles(
     ).astype(np.int64)
     cells, number = _distinct(cell)
     turn = 2 * np.pi * (wave.carrier_hz * echoes.delay_s[some] % 1.0)
-    wave_at_carrier = echoes.amplitude[some] * np.exp(-1j * turn)
+    wave_at_carrier = echoes.amplitude[some] * phasors(-turn)
     power = _power(number, wave_at_carrier, len(cells))
     strength: Array = np.bincount(number, np.abs(wave_at_carrier) ** 2, len(cells)).astype(float)
     square, silent = _at_rates(cells, strength, errors)
