@@ -49,6 +49,13 @@ def alike(columns: Sequence[NDArray[np.integer]]) -> Indices:
     return np.asarray(np.unique(key, return_inverse=True)[1], dtype=np.int64)
 
 
+def first_rows(number: Indices) -> Indices:
+    """The first row of each number from 0, all of which occur."""
+    first = np.empty(int(number.max(initial=-1)) + 1, dtype=np.int64)
+    first[number[::-1]] = np.arange(len(number))[::-1]
+    return first
+
+
 def matching_pairs(one: Indices, other: Indices) -> tuple[Indices, Indices]:
     """All pairs of rows with the same number."""
     order = np.argsort(other, kind="stable")

@@ -33,7 +33,7 @@ from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.physical_optics import followed_by, scattered
 from twin.radar.propagation.prepared_scene import PreparedScene, prepare_scene
 from twin.radar.propagation.scene.scattering_models import Assignment
-from twin.radar.rows import alike, matching_pairs, phasors
+from twin.radar.rows import alike, first_rows, matching_pairs, phasors
 from twin.radar.synthesis import Contributions
 from twin.scene import Scene
 from twin.scene.boxes import boxes_of
@@ -215,7 +215,7 @@ def _passing(obstacles: Screens, alone: _Alone, body: int) -> Contributions:
     """
     every = alone.places.reshape(-1, 3)
     number = alike(list(np.round(every / _SAME_M).astype(np.int64).T))
-    row = np.unique(number, return_index=True)[1]
+    row = first_rows(number)
     passed, ends = waves_past(obstacles, every[row], body), number.reshape(2, -1)
     strongest = np.abs(passed.wave).max(axis=1)
     place, _ = legs = np.nonzero(

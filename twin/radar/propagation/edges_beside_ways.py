@@ -23,7 +23,7 @@ from twin.radar.propagation.diffraction.views import View
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.physical_optics import followed_by
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.rows import alike
+from twin.radar.rows import alike, first_rows
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -280,7 +280,7 @@ def _changed(
     ends = np.concatenate([some.source, some.receiver]).astype(np.int64)
     both = np.tile(body, 2)
     number = alike([both, ends])
-    first = np.unique(number, return_index=True)[1]
+    first = first_rows(number)
     pairs = zip(both[first].tolist(), ends[first].tolist(), strict=True)
     points = {
         one: points_of(prepared, np.flatnonzero(levels.of_object == one))

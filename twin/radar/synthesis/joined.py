@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S
 from twin.radar.device.design import RadarDesign
-from twin.radar.rows import alike, phasors
+from twin.radar.rows import alike, first_rows, phasors
 from twin.radar.synthesis.contributions import Contributions
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ class _Sums:
 
     def __init__(self, owner: Indices, weight: Array) -> None:
         self.owner, self.weight, self.count = owner, weight, int(owner.max()) + 1
-        self.first = np.unique(owner, return_index=True)[1]
+        self.first = first_rows(owner)
         self.weights = np.bincount(owner, weight, self.count)
 
     def total(self, wave: NDArray[np.complex128]) -> NDArray[np.complex128]:

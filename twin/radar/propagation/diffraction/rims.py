@@ -14,7 +14,7 @@ from twin.radar.propagation.diffraction.knife_edge import (
     missing_edge_factor,
 )
 from twin.radar.propagation.meshes.silhouettes import Lines, Outline
-from twin.radar.rows import alike, dots, lengths
+from twin.radar.rows import alike, dots, first_rows, lengths
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -288,7 +288,7 @@ def _ends(pairs: _Pairs, faintest: float, far: float = np.inf) -> _Ends:
     inwards = np.where(end == 0, at, rim.lines.length_m[edge] - at)
     factor *= np.where((lit_m > 0) == (inwards > 0), 1, -1)
     same = alike([point, rim.corner[edge, end]])
-    one = np.unique(same, return_index=True)[1]
+    one = first_rows(same)
     amplitude = np.zeros(len(one), dtype=np.complex128)
     np.add.at(amplitude, same, factor)
     return _Ends(pair[one], end[one], p[one], amplitude)

@@ -17,7 +17,7 @@ from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.shadowed_facets import Facets
 from twin.radar.propagation.diffraction.triangle_means import mean_waves
 from twin.radar.propagation.one_way.points import PointPaths, between
-from twin.radar.rows import alike, lengths, matching_pairs, phasors
+from twin.radar.rows import alike, first_rows, lengths, matching_pairs, phasors
 from twin.radar.synthesis import Contributions
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ class _Corners:
         place, cell = facets.corners.reshape(-1, 3), np.repeat(facets.cell, 3)
         grid = np.rint(place / _ALIKE_M).astype(np.int64)
         number = alike([cell, *grid.T])
-        one = np.unique(number, return_index=True)[1]
+        one = first_rows(number)
         first = np.searchsorted(cell[one], cell)
         return _Corners(place[one], cell[one], (number - first).reshape(-1, 3).T)
 
