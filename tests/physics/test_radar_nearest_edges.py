@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hardware.compiled import kernel
 from twin.radar.propagation.diffraction import shadow_bounds
 
 
@@ -18,12 +19,14 @@ def test_nearest_edges_are_those_of_sorted_ones() -> None:
         among = np.where(of, row, np.inf)
         return int(among.argmin()), float(among.min())
 
-    edges, roots = shadow_bounds._nearest(root_q, faces, lit, opposite)
+    search = kernel(shadow_bounds._of_cell, shadow_bounds._cosine)
     for i, row in enumerate(root_q):
+        edges, roots = np.zeros(4, dtype=np.int64), np.full(4, np.inf)
+        search(row, faces[i], lit, opposite, edges, roots)
         of = np.ones(12, dtype=bool)
         for k in (0, 2):
             nearest, root = least(row, of)
             due = [root, least(row, of & (cosine[nearest] < opposite))[1]]
-            np.testing.assert_array_equal(roots[k : k + 2, i], due)
-            assert not np.isfinite(root) or edges[k, i] == nearest
-            of = faces[i] & (np.abs(cosine[edges[0, i]]) <= shadow_bounds._ALONG)
+            np.testing.assert_array_equal(roots[k : k + 2], due)
+            assert not np.isfinite(root) or edges[k] == nearest
+            of = faces[i] & (np.abs(cosine[edges[0]]) <= shadow_bounds._ALONG)

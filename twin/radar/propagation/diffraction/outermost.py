@@ -154,11 +154,11 @@ class OuterRims:
         """Pieces of members, and of what is close those on their lines of sight; of several at one
         place that of the first object comes first.
         """
-        self._find(dict.fromkeys(members.tolist()), own)
         parts = {member: self._of(member, own) for member in members.tolist()}
+        self._find({member: np.arange(len(part.edge)) for member, part in parts.items()}, own)
         tree = cKDTree(np.concatenate([part.sight for part in parts.values()]))
         longest = max(part.longest for part in parts.values())
-        beside = {}
+        beside: dict[int, Indices] = {}
         for other in np.setdiff1d(close, members).tolist() if tree.n else ():
             rest = self._of(other, own)
             size = 2 * _MEET * _PIECE * np.sqrt(self._wavelength_m / rest.distance_m)
@@ -178,14 +178,13 @@ class OuterRims:
             )
         return self._pieces[item, own]
 
-    def _find(self, wanted: "dict[int, Indices | None]", own: int) -> None:
-        """What hides pieces of objects, all of them or some, where that is not known yet."""
+    def _find(self, wanted: dict[int, Indices], own: int) -> None:
+        """What hides some pieces of objects, by their rows, where that is not known yet."""
         new = {}
         for item, rows in wanted.items():
-            unknown = np.isnan(self._of(item, own).from_m[:, 0])
-            some = np.flatnonzero(unknown) if rows is None else rows[unknown[rows]]
-            if len(some):
-                new[item] = some
+            unknown = rows[np.isnan(self._of(item, own).from_m[rows, 0])]
+            if len(unknown):
+                new[item] = unknown
         if new:
             parts = [self._of(item, own).take(rows) for item, rows in new.items()]
             found = self._hidden_from_m(list(new), own, parts)
@@ -201,8 +200,10 @@ class OuterRims:
         every, sizes = _Pieces.together(parts), [len(part.edge) for part in parts]
         towards = every.middle[:, None] + every.aside_m[..., None] * every.outline.lit[:, None]
         which = np.repeat(np.arange(len(items)), sizes).repeat(_STEPS)
-        found = _first_met(self._prepared, is_part, which, self._source, towards.reshape(-1, 3))
-        met_m, what = (x.reshape(every.aside_m.shape) for x in found)
+        met_m, what = _first_met(
+            self._prepared, is_part, which, self._source, towards.reshape(-1, 3)
+        )
+        met_m, what = met_m.reshape(every.aside_m.shape), what.reshape(every.aside_m.shape)
         rim_m = every.distance_m[:, None]
         touches = (what >= 0) & (self._group[what] == every.group[:, None])
         from_m = _one_from_m(rim_m, met_m, np.where(touches, _APART, _APART_SINGLY))

@@ -159,8 +159,10 @@ class _Pairs:
 
     def take(self, which: NDArray[Any]) -> "_Pairs":
         """Only some of them, by index or mask."""
-        rows = (self.point, self.edge, self.at, self.q, self.lit_m)
-        return _Pairs(self.rim, self.places, *(x[which] for x in rows), self.wavenumber)
+        point, edge, at, q, lit_m = (
+            x[which] for x in (self.point, self.edge, self.at, self.q, self.lit_m)
+        )
+        return _Pairs(self.rim, self.places, point, edge, at, q, lit_m, self.wavenumber)
 
     @cached_property
     def direct(self) -> Array:
@@ -179,8 +181,8 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     path is longer by at most a phase ``most``.
     """
     direct, ends, lit = (np.ascontiguousarray(x) for x in (direct, rim.ends, rim.lit))
-    pairs = kernel(_near)(rim.lines, ends, lit, direct, wavenumber, most)
-    return _Pairs(rim, direct, *pairs, wavenumber)
+    point, edge, at, q, lit_m = kernel(_near)(rim.lines, ends, lit, direct, wavenumber, most)
+    return _Pairs(rim, direct, point, edge, at, q, lit_m, wavenumber)
 
 
 def _aside(direct: Array, wavenumber: float) -> Array:

@@ -85,7 +85,7 @@ def borders_of(view: View, facets: Facets, body: int) -> tuple[Indices, Array]:
     direct, radius = _spheres(view, facets)
     cells, normals = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
     for rim, some in _rims(view, body, direct, radius):
-        cell, edge = kernel(_at_borders, _of_edge)(
+        cell, edge = kernel(_at_borders, _of_edge, _cosine)(
             rim.lines, direct[some], radius[some], view.obstacles.wavenumber
         )
         cells.append(some[cell])
@@ -167,7 +167,7 @@ def _nearest(
     both waves over q, (n,); 0 where there is none.
     """
     lit, direct = (np.ascontiguousarray(x) for x in (rim.lit, direct))
-    edges, roots, grows, angle = kernel(_nearest_edges, _of_edge, _cosine)(
+    edges, roots, grows, angle = kernel(_nearest_edges, _of_edge, _of_cell, _cosine)(
         rim.lines, lit, direct, radius, wavenumber, opposite, kinds
     )
     return edges, roots, grows, angle
@@ -189,20 +189,32 @@ def _nearest_edges(
     for i in range(count):
         for j in range(every):
             root_q[j], _, _, faces[j] = _of_edge(lines, j, direct[i], radius[i], wavenumber)
-        for k in range(kinds):
-            first, nearest = lit[edges[0, i]], lit[edges[2 * (k // 2), i]]
-            for j in range(every):
-                if root_q[j] >= roots[k, i]:
-                    continue
-                if k >= 2 and (not faces[j] or abs(_cosine(first, lit[j])) > _ALONG):
-                    continue
-                if k % 2 == 1 and _cosine(nearest, lit[j]) >= opposite:
-                    continue
-                edges[k, i], roots[k, i] = j, root_q[j]
+        _of_cell(root_q, faces, lit, opposite, edges[:, i], roots[:, i])
         if roots[0, i] < np.inf:
             closest = _of_edge(lines, edges[0, i], direct[i], radius[i], wavenumber)
             grows[i], angle[i] = closest[1], closest[2]
     return edges, roots, grows, angle
+
+
+def _of_cell(
+    root_q: Array,
+    faces: NDArray[np.bool_],
+    lit: Array,
+    opposite: float,
+    edges: Indices,
+    roots: Array,
+) -> None:
+    """The nearest edges and their roots, of each kind, by those of all, (m,)."""
+    for k in range(len(edges)):
+        first, nearest = lit[edges[0]], lit[edges[2 * (k // 2)]]
+        for j in range(len(lit)):
+            if root_q[j] >= roots[k]:
+                continue
+            if k >= 2 and (not faces[j] or abs(_cosine(first, lit[j])) > _ALONG):
+                continue
+            if k % 2 == 1 and _cosine(nearest, lit[j]) >= opposite:
+                continue
+            edges[k], roots[k] = j, root_q[j]
 
 
 def _at_borders(
