@@ -17,7 +17,7 @@ def test_currents_grow_with_the_cosines_of_the_waves() -> None:
     back = np.array([[-1.0, 0.0, 0.0], [-0.8, 0.6, 0.0]])
     ways = SimpleNamespace(bends=bends, paths=SimpleNamespace(back=back))
     normals = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    factor = _askew(ways, np.arange(2), np.array([[0, 0], [1, 1]]), normals)
+    factor = _askew(ways, np.arange(2), np.array([[0, 0], [1, 1]]), normals, np.arange(2))
     np.testing.assert_allclose(factor, [1.0, 0.9])
 
 
