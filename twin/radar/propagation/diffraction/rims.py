@@ -27,8 +27,10 @@ _FAR = 3.0  # rad: of a path over an edge's end over the edge's own one
 #: Of the first Fresnel zone's radius: obstacles closer to an edge don't disturb a path over it; at
 #: most, where rays may err by more than a third of the first.
 _BESIDE, _FAR_BESIDE = 0.02, 0.05
-#: Of the root of wavelength and distance: by how much points are moved, across a direction that is
-#: parallel to no edge; waves of 0.001 of the direct one change by 0.04 rad.
+#: Of a path over an edge's line beside the direct one: from there on an edge is exactly in the way.
+_EXACT_RAD = 1e-8
+#: Of the root of wavelength and distance: by how much points are moved that an edge's end is
+#: exactly in the way to, across a direction that is parallel to no edge.
 _MOVED, _OBLIQUE = 3e-5, np.array([0.36, 0.48, 0.8])
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 _MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
@@ -180,18 +182,42 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
     path is longer by at most a phase ``most``.
     """
+    pairs = _pairs_to(rim, direct, wavenumber, most)
+    in_line = _in_line_with_corners(pairs)
+    if not len(in_line):
+        return pairs
+    direct = direct.copy()
+    direct[in_line] += _aside(direct[in_line], wavenumber)
+    return _pairs_to(rim, direct, wavenumber, most)
+
+
+def _pairs_to(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pairs:
     direct, ends, lit = (np.ascontiguousarray(x) for x in (direct, rim.ends, rim.lit))
     point, edge, at, q, lit_m = kernel(_near)(rim.lines, ends, lit, direct, wavenumber, most)
     return _Pairs(rim, direct, point, edge, at, q, lit_m, wavenumber)
 
 
-def _aside(direct: Array, wavenumber: float) -> Array:
-    """By how far points are moved across the direct path (n, 3): behind a corner exactly, as at
-    round coordinates, waves of its edges depend on the side that it is approached from.
+def _in_line_with_corners(pairs: _Pairs) -> Indices:
+    """Points whose direct path passes an edge's end exactly, as at round coordinates: what waves of
+    its edges are depends on the side that it is approached from.
     """
+    close = np.flatnonzero(pairs.q < _EXACT_RAD)
+    at, length = pairs.at[close], pairs.rim.lines.length_m[pairs.edge[close]]
+    to_end = np.minimum(np.abs(at), np.abs(length - at))
+    reach = _moved_m(pairs.direct[close], pairs.wavenumber)
+    return np.unique(pairs.point[close[to_end < reach]])
+
+
+def _moved_m(direct: Array, wavenumber: float) -> Array:
+    moved: Array = _MOVED * np.sqrt(2 * np.pi / wavenumber * lengths(direct))
+    return moved
+
+
+def _aside(direct: Array, wavenumber: float) -> Array:
+    """By how far such points, at the ends of vectors (n, 3), are moved across these."""
     across = np.cross(direct, _OBLIQUE)
-    moved_m = _MOVED * np.sqrt(2 * np.pi / wavenumber * lengths(direct))
-    aside: Array = (moved_m / np.maximum(lengths(across), 1e-300))[:, None] * across
+    share = _moved_m(direct, wavenumber) / np.maximum(lengths(across), 1e-300)
+    aside: Array = share[:, None] * across
     return aside
 
 
