@@ -14,6 +14,10 @@ from twin.geometry import Geometry
 from twin.radar import radar_capture
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.parts import parted
+from twin.radar.propagation.scene.scattering_models import (
+    ScatteringModel,
+    assign_scattering_models,
+)
 from twin.radar.propagation.solvers import trace
 from twin.scene import SceneObject
 
@@ -160,9 +164,23 @@ def test_parts_have_names_of_their_own() -> None:
 
 
 def test_many_parts_are_one_object() -> None:
-    many = [box(f"{n}", (10.0 + 1.2 * (n % 30), -8.0 + 1.5 * (n // 30), 0.3)) for n in range(300)]
+    """It scatters, though some are near enough for a side of those far away to be large there."""
+    many = [box(f"{n}", (1.2 * (n % 30) - 8.0, 1.5 * (n // 30) - 8.0, 0.3)) for n in range(300)]
     scene = parted(world(joined("site", ground(), *many)), RADAR)
     assert [item.name for item in scene.objects] == ["site", "site (other parts)"]
+    role = assign_scattering_models(scene, RADAR.ofdm.wavelength_m, with_optics=True)[1].role
+    assert role is ScatteringModel.OPTICS
+
+
+def test_on_a_terrain_of_many_large_sides_parts_are_found() -> None:
+    """In a mesh of more than 64 planes there were none, without a word."""
+    x, y = (v.ravel() for v in np.meshgrid(np.linspace(-5, 75, 21), np.linspace(-40, 40, 21)))
+    heights = -1 + 0.02 * np.random.default_rng(3).uniform(-1, 1, len(x))
+    faces = Delaunay(np.stack([x, y], axis=1)).simplices
+    terrain = thing("terrain", np.stack([x, y, heights], axis=1), faces)
+    scene = parted(world(joined("site", terrain, BOXES[1])), RADAR)
+    assert [item.name for item in scene.objects] == ["site", "site (other parts)"]
+    assert parted(world(terrain), RADAR).objects == (terrain,)
 
 
 def test_other_models_see_the_scene_as_it_is() -> None:

@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _IN_PLANE_M = 1e-4
-_MOST_PLANES = 64  # a mesh of more is no ground or wall with things on it
 _MOST_OBJECTS = 256  # where there are more that do not touch, all are one
 
 
@@ -100,7 +99,9 @@ def _names(name: str, parts: int, taken: Container[str]) -> list[str]:
 
 
 def _part(item: SceneObject, name: str, geometry: Geometry) -> SceneObject:
-    part = replace(item, name=name, geometry=geometry)
+    """One that is not the surface scatters, though a side of it may be large beside the nearest."""
+    role = item.radar if name == item.name else "optics"
+    part = replace(item, name=name, geometry=geometry, radar=role)
     return part if item.motion is None else part.following(item.motion, item.parent)
 
 
@@ -154,23 +155,36 @@ def _others(
     """Faces of parts without a large patch, (m,)."""
     shape, has_area = geometry.shape, geometry.parts >= 0
     part, points = geometry.parts[has_area], geometry.corners_m[has_area]
-    patch, by_patch = shape.patch_of_face, np.argsort(shape.patch_of_face, kind="stable")
+    patch = shape.patch_of_face[has_area]
     near_m = distances_m(boxes_of_parts(points, part), np.array(place_m))
     least_m2 = LARGE_BESIDE_OPTICS**2 * wavelength_m * np.maximum(near_m, wavelength_m)
     patch_m2 = np.zeros(len(least_m2))
-    np.maximum.at(patch_m2, part, shape.patch_area_m2[patch[has_area]])
-    is_large = patch_m2 >= least_m2
-    planes = np.unique(patch[has_area][is_large[part]])
-    planes = planes[shape.patch_area_m2[planes] >= least_m2.min()]
-    if len(planes) > _MOST_PLANES:
+    np.maximum.at(patch_m2, part, shape.patch_area_m2[patch])
+    is_surface = patch_m2 >= least_m2
+    if is_surface.all() or not is_surface.any():
         return None
     # The bottom of what stands on the ground is in its plane; of a pavement's slabs all is.
-    in_plane = np.zeros(len(near_m), dtype=bool)
-    for face in np.searchsorted(patch, planes, sorter=by_patch).tolist():
-        normal, corner = geometry.normals[by_patch[face]], geometry.corners_m[by_patch[face], 0]
-        off_m = np.zeros(len(near_m))
-        np.maximum.at(off_m, part, np.abs((points - corner) @ normal).max(axis=1))
-        in_plane |= off_m < _IN_PLANE_M
+    is_side = is_surface[part] & (shape.patch_area_m2[patch] >= least_m2.min())
+    some = np.flatnonzero(is_side)[np.unique(patch[is_side], return_index=True)[1]]
+    normals = geometry.normals[has_area][some]
+    is_surface |= _in_planes(points, part, ~is_surface, points[some, 0], normals)
     is_other = np.zeros(len(has_area), dtype=bool)
-    is_other[has_area] = ~(is_large | in_plane)[part]
-    return is_other if is_other.any() and not is_other.all() else None
+    is_other[has_area] = ~is_surface[part]
+    return is_other if is_other.any() else None
+
+
+def _in_planes(
+    points: Array, part: Indices, asked: NDArray[np.bool_], place: Array, normal: Array
+) -> NDArray[np.bool_]:
+    """Which of the parts that are ``asked``, of corners (m, 3, 3), lie in one of some planes."""
+    order = np.argsort(part, kind="stable")
+    first = np.searchsorted(part[order], np.arange(len(asked) + 1))
+    faces = np.split(order, first[1:-1])
+    height = np.einsum("ij,ij->i", place, normal)
+    found = np.zeros(len(asked), dtype=bool)
+    for number in np.flatnonzero(asked).tolist():
+        corners = points[faces[number]].reshape(-1, 3)
+        near = np.flatnonzero(np.abs(normal @ corners[0] - height) < _IN_PLANE_M)
+        off_m = np.abs(corners @ normal[near].T - height[near]).max(axis=0)
+        found[number] = (off_m < _IN_PLANE_M).any()
+    return found
