@@ -5,6 +5,8 @@ section 4.1), Sommerfeld's half plane and the wedge's series in closed form, Kir
 integrals by numbers, and Sionna RT's uniform theory of diffraction.
 """
 
+from itertools import product
+
 import numpy as np
 import pytest
 import trimesh
@@ -49,7 +51,7 @@ from twin.scene import Pose, Rig, SceneObject
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 1e-9, -1e-7, 1e-5])
-@pytest.mark.parametrize("sides", [((0, 50), (0, 50)), ((-50, 0), (0, 50))])
+@pytest.mark.parametrize("sides", list(product([(0, 50), (-50, 0)], repeat=2)))
 def test_a_corner_exactly_in_the_way_leaves_three_quarters(
     sides: tuple[tuple[int, int], tuple[int, int]], aside_m: float
 ) -> None:

@@ -30,8 +30,8 @@ _BESIDE, _FAR_BESIDE = 0.02, 0.05
 #: Of a path over an edge's line beside the direct one: from there on an edge is exactly in the way.
 _EXACT_RAD = 1e-8
 #: Of the root of wavelength and distance: by how much points are moved that an edge's end is
-#: exactly in the way to, across a direction that is parallel to no edge.
-_MOVED, _OBLIQUE = 3e-5, np.array([0.36, 0.48, 0.8])
+#: exactly in the way to; and of the sum of unit vectors along edges: below, they go straight on.
+_MOVED, _STRAIGHT_ON = 3e-5, 0.1
 _UNSURE_M = 3e-4  # from an edge within which float32 rays may err; as much more for every 10 m
 _MERGED_LENGTH_M = 1e-3  # 0.04 rad at the ends of a band of 4 GHz
 _MERGED_PLACE_M = 0.01  # of fences, posts stand by themselves
@@ -183,11 +183,11 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     path is longer by at most a phase ``most``.
     """
     pairs = _pairs_to(rim, direct, wavenumber, most)
-    in_line = _in_line_with_corners(pairs)
-    if not len(in_line):
+    points, aside = _in_line_with_corners(pairs)
+    if not len(points):
         return pairs
     direct = direct.copy()
-    direct[in_line] += _aside(direct[in_line], wavenumber)
+    direct[points] += aside
     return _pairs_to(rim, direct, wavenumber, most)
 
 
@@ -197,28 +197,23 @@ def _pairs_to(rim: Outline, direct: Array, wavenumber: float, most: float) -> _P
     return _Pairs(rim, direct, point, edge, at, q, lit_m, wavenumber)
 
 
-def _in_line_with_corners(pairs: _Pairs) -> Indices:
-    """Points whose direct path passes an edge's end exactly, as at round coordinates: what waves of
-    its edges are depends on the side that it is approached from.
+def _in_line_with_corners(pairs: _Pairs) -> tuple[Indices, Array]:
+    """Points whose direct path passes an edge's end exactly, as at round coordinates, and by how
+    far they are moved, (n, 3), between the edges that meet there: what waves these have depends on
+    the side that the corner is approached from.
     """
-    close = np.flatnonzero(pairs.q < _EXACT_RAD)
-    at, length = pairs.at[close], pairs.rim.lines.length_m[pairs.edge[close]]
-    to_end = np.minimum(np.abs(at), np.abs(length - at))
-    reach = _moved_m(pairs.direct[close], pairs.wavenumber)
-    return np.unique(pairs.point[close[to_end < reach]])
-
-
-def _moved_m(direct: Array, wavenumber: float) -> Array:
-    moved: Array = _MOVED * np.sqrt(2 * np.pi / wavenumber * lengths(direct))
-    return moved
-
-
-def _aside(direct: Array, wavenumber: float) -> Array:
-    """By how far such points, at the ends of vectors (n, 3), are moved across these."""
-    across = np.cross(direct, _OBLIQUE)
-    share = _moved_m(direct, wavenumber) / np.maximum(lengths(across), 1e-300)
-    aside: Array = share[:, None] * across
-    return aside
+    rim, close = pairs.rim, np.flatnonzero(pairs.q < _EXACT_RAD)
+    edge, at = pairs.edge[close], pairs.at[close]
+    to_ends = np.abs(np.stack([at, rim.lines.length_m[edge] - at], axis=1))
+    moved_m = _MOVED * np.sqrt(2 * np.pi / pairs.wavenumber * lengths(pairs.direct[close]))
+    rows = np.flatnonzero(to_ends.min(axis=1, initial=np.inf) < moved_m)
+    points, first = np.unique(pairs.point[close[rows]], return_index=True)
+    rows = rows[first]
+    edge, end = edge[rows], to_ends[rows].argmin(axis=1)
+    along = (1 - 2 * end)[:, None] * rim.lines.along[edge]
+    between = along + rim.onwards[edge, end]
+    between = np.where((lengths(between) > _STRAIGHT_ON)[:, None], between, along)
+    return points, (moved_m[rows] / lengths(between))[:, None] * between
 
 
 def _near(
