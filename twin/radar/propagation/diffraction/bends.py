@@ -97,7 +97,8 @@ class Bends:
         is_twice = (first != last).any(axis=1)[:, None]
         is_edge = (diffracted.along != 0).any(axis=1)[:, None]
         lit = np.where(is_twice, 0.0, diffracted.into_light(source))
-        aside = diffracted.aside / np.linalg.norm(diffracted.aside, axis=2, keepdims=True)
+        length = np.linalg.norm(diffracted.aside, axis=2, keepdims=True)  # 0 where there is no room
+        aside = diffracted.aside / np.maximum(length, 1e-300)
         is_parallel = is_twice[:, 0] & (np.abs(dots(aside[:, 0], aside[:, 1])) > _PARALLEL)
         aside = np.where((is_parallel & is_edge[:, 0])[:, None, None], aside, 0.0)
         across = np.cross(diffracted.corner, (last - source)[:, None])
