@@ -5,11 +5,13 @@ section 4.1), Sommerfeld's half plane and the wedge's series in closed form, Kir
 integrals by numbers, and Sionna RT's uniform theory of diffraction.
 """
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.constants import speed_of_light
 from scipy.special import erf, erfc, fresnel, jv
 
 from benchmarks.screens_in_depth import field_behind
@@ -168,6 +170,50 @@ def test_objects_that_touch_shade_as_one() -> None:
     plates = [rectangle(name, at, z) for name, at in (("a", one), ("b", other), ("c", other))]
     due = (1 - opening((one[0], other[1]), z)) ** 2
     assert abs(echo(*plates) - due) < 0.03
+
+
+def echo_behind_mirrors(*objects: SceneObject, place: tuple[float, float, float]) -> complex:
+    """Of a point 10 m off, as of `echo`, without what the objects themselves return: by default
+    those that are large and flat are mirrors.
+    """
+    paths = found(*(replace(item, radar=None) for item in objects), at=point(place))
+    is_beyond = paths.delay_s * speed_of_light > 2 * 9.0
+    return wave(paths.take(np.flatnonzero(is_beyond))) / wave(found(at=point(place)))
+
+
+@pytest.mark.parametrize("height", [-0.03, -0.005, 0.0, 0.03, 0.1])
+@pytest.mark.parametrize("gap", [0.005, 0.1])
+@pytest.mark.parametrize("edge", [0.0, 0.5])
+def test_large_flat_sheets_in_line_shade_as_one(edge: float, gap: float, height: float) -> None:
+    """Two sheets with tops on one line of sight, large enough to be mirrors, before a point
+    ``height`` below the border of the shadow: the knife edge of one, on either way. While mirrors
+    had outlines of their own, all four waves came in full: 1 in place of 0.25 at the border, 0 just
+    above it.
+    """
+    tops = [(x, edge * x / 3) for x in (3.0, 3.0 + gap)]
+    sheets = [rectangle(f"sheet {x}", (-50, 50), (-5, top), x=x) for x, top in tops]
+    z = edge * 10 / 3 - height
+    beside = (
+        erfc(np.sqrt(1j * K * (np.hypot(3, edge) + np.hypot(7, z - edge) - np.hypot(10, z)))) / 2
+    )
+    due = (beside if height >= 0 else 1 - beside) ** 2
+    got = echo_behind_mirrors(*sheets, place=(10.0, 0.0, z))
+    assert abs(got - due) < 0.02
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (2e-5, 1e-5), (-2e-5, -1e-5), (0.03, 0.03)])
+@pytest.mark.parametrize("seam", ["level", "upright", "level, 1 cm lower"])
+def test_no_wave_passes_between_boxes_that_touch(seam: str, place: tuple[float, float]) -> None:
+    """Before a point 1 m within the shadow of two boxes with the seam in the line of sight, or
+    beside it: as of one box. Each with an outline of its own, up to 1.7 times the free echo came.
+    """
+    at = -0.01 if "lower" in seam else 0.0
+    low, high = np.array([3.0, -1.0, -1.5]), np.array([4.0, 1.0, 1.5])
+    cut_low, cut_high = low.copy(), high.copy()
+    axis = 2 if "level" in seam else 1
+    cut_high[axis] = cut_low[axis] = at
+    boxes = [replace(box(low, cut_high), name="one"), box(cut_low, high)]
+    assert abs(echo_behind_mirrors(*boxes, place=(10.0, *place))) < 0.01
 
 
 @pytest.mark.parametrize("gap", [0.01, 0.03, 0.1, 0.3, 1.0, 3.0])

@@ -73,6 +73,11 @@ class Side:
         """Whether edges (n, 2, 3) relative to the source are in its plane."""
         return np.asarray((np.abs(self.over_m(ends)) < _FLAT_M).all(axis=1))
 
+    def has_edge(self, ends: Array) -> Flags:
+        """Whether edges (n, 2, 3) relative to the source are parts of the one it was found by."""
+        off_m = np.linalg.norm(np.cross(ends - self.edge[0], self.along), axis=2)
+        return np.asarray((off_m < _FLAT_M).all(axis=1))
+
 
 def sides_of(
     outline: Outline, table: EdgeTable, points: Array, item: int, wavelength_m: float

@@ -37,6 +37,9 @@ _MOST_PIECES = 256, 2**15  # of an edge, and of an object
 #: from the source to the nearer and from the farther to the point: from there on waves pass between
 #: both: of objects that touch, and of others, whose waves over both edges are known.
 _APART, _APART_SINGLY = 0.3, 0.1
+#: Of a ground the farthest point is so many times as far as the nearest one, and its box so high at
+#: most, of the shorter level side.
+_GROUND, _LOW = 4.0, 0.3
 #: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 #: How far aside rays look at most, of the same root, and at how many distances.
@@ -109,8 +112,8 @@ class OuterRims:
     """Of the outlines of objects what is on the outline of all that stands close, seen from a
     source relative to the anchor, by waves that go to points at a distance from it.
 
-    ``owner`` (n,) numbers the bodies that objects are parts of; mirrors stand alone: a ground is
-    close to everything.
+    ``owner`` (n,) numbers the bodies that objects are parts of. Mirrors that the source is an image
+    in are not in its way, and stand alone; so does a ground among them: it is close to everything.
     """
 
     def __init__(
@@ -123,11 +126,12 @@ class OuterRims:
     ) -> None:
         self._prepared, self._owner, self._source = prepared, owner, source
         self._outline, self._wavelength_m = outline, prepared.wavelength_m
-        boxes, mirrors = boxes_of(items) - prepared.anchor_m - source, prepared.flats.object
-        self._close = _close(boxes, mirrors, prepared.wavelength_m)
+        boxes = boxes_of(items) - prepared.anchor_m - source
+        alone = _alone(prepared, boxes, source)
+        self._close = _close(boxes, alone, prepared.wavelength_m)
         # What touches is looked at together, which takes less time.
         self._group = len(items) + np.arange(len(items))
-        rest = np.setdiff1d(np.arange(len(items)), mirrors)
+        rest = np.setdiff1d(np.arange(len(items)), alone)
         self._group[rest] = bodies_of([items[k] for k in rest])
         self._around: dict[int, tuple[Indices, Indices]] = {}
         self._pieces: dict[tuple[int, int], _Pieces] = {}
@@ -254,16 +258,37 @@ class _Group:
         return {item: runs.take(some) for item, some in zip(self._objects, rows, strict=True)}
 
 
-def _close(boxes: Array, mirrors: Indices, wavelength_m: float) -> list[Indices]:
+def _alone(prepared: PreparedScene, boxes: Array, source: Array) -> Indices:
+    """Mirrors, by object, that stand alone as seen from a source, with the boxes of objects (n, 2,
+    3) relative to it.
+    """
+    nearest_m = lengths(np.maximum(np.maximum(boxes[:, 0], -boxes[:, 1]), 0))
+    farthest_m = lengths(np.abs(boxes).max(axis=1))
+    size_m = boxes[:, 1] - boxes[:, 0]
+    is_ground = farthest_m > _GROUND * nearest_m
+    is_ground &= size_m[:, 2] < _LOW * size_m[:, :2].min(axis=1)
+    of_source = {
+        number
+        for image in prepared.images
+        for level in range(1, len(image.places))
+        if np.array_equal(image.places[level], source)
+        for number in image.patches[:level]
+    }
+    flats = prepared.flats.object
+    mirrors = flats[flats < len(boxes)]
+    return np.union1d(mirrors[is_ground[mirrors]], flats[sorted(of_source)])
+
+
+def _close(boxes: Array, alone: Indices, wavelength_m: float) -> list[Indices]:
     """Of objects with boxes (n, 2, 3) relative to a source, which others may stand close before or
-    behind them.
+    behind them, but for those that stand alone.
     """
     farthest_m = np.abs(boxes).max(axis=(1, 2))[:, None, None]
     aside_m = _WIDEST * np.sqrt(wavelength_m * farthest_m) * [[-1.0], [1.0]]
     deep = np.concatenate([boxes, (1 + _APART) * boxes], axis=1)
     deep = np.stack([deep.min(axis=1), deep.max(axis=1)], axis=1) + aside_m
     pairs = near_pairs(deep)[0]
-    pairs = pairs[~np.isin(pairs, mirrors).any(axis=1)]
+    pairs = pairs[~np.isin(pairs, alone).any(axis=1)]
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]
     return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(boxes))))

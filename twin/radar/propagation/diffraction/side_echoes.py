@@ -56,7 +56,7 @@ def side_echoes(
     """
     parts, power = [Contributions.none()], np.zeros(2)
     for side in obstacles.sides:
-        if obstacles.body[side.item] == body:
+        if obstacles.body[side.item] == body or _is_covered(obstacles, side, facets, body):
             continue
         is_known = _is_followed(obstacles, side, body)
         found, beside = _by_side(obstacles, facets, surface_of_object, side, is_known)
@@ -106,6 +106,15 @@ def _by_side(
     square = np.abs(current * mean) ** 2
     beside = square @ side.adds_edge_waves_alone(near.middle - source, is_mirror=is_known)
     return Contributions.concatenate(parts), float(beside / max(square.sum(), 1e-300))
+
+
+def _is_covered(obstacles: Screens, side: Side, facets: Facets, body: int) -> bool:
+    """Whether its edge is within the outline of all that stands close, as where another object
+    stands on the side: no wave passes along it.
+    """
+    source = obstacles.prepared.images[0].place
+    reach_m = float(lengths(facets.middle - source).mean())
+    return not side.has_edge(obstacles.rim(side.item, source, reach_m, body).ends).any()
 
 
 def _is_followed(obstacles: Screens, side: Side, body: int) -> bool:
