@@ -12,6 +12,7 @@ from tests.physics.radar_worlds import RADAR, quad, thing, world
 from twin.fidelity import DEFAULT, Fidelity
 from twin.geometry import Geometry
 from twin.radar import radar_capture
+from twin.radar.propagation.diffraction.open_edges import open_edges
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.parts import parted
 from twin.radar.propagation.scene.scattering_models import (
@@ -186,3 +187,71 @@ def test_on_a_terrain_of_many_large_sides_parts_are_found() -> None:
 def test_other_models_see_the_scene_as_it_is() -> None:
     found = trace(world(joined("site", ground(), *BOXES)), RADAR, fidelity=Fidelity(radar="paths"))
     assert "site (other parts)" not in found.objects
+
+
+def block(name: str, low: tuple[float, float, float], high: tuple[float, float, float]):
+    mesh = trimesh.creation.box(bounds=[low, high])
+    return thing(name, mesh.vertices, mesh.faces)
+
+
+def by_two(*items: SceneObject) -> list[float]:
+    """Amplitudes of the radar's own echoes by two mirrors."""
+    return sorted(abs(p.amplitude) for p in trace(world(*items), RADAR).paths if len(p.via) == 2)
+
+
+@pytest.mark.parametrize(
+    ("surface", "body"),
+    [
+        (ground(), block("house", (12, -3, -1), (15, 3, 3))),
+        (ground(), block("house", (12, -3, -1 + 1e-6), (15, 3, 3))),
+        (
+            quad("ground", [[-5, -40, -1], [75, -40, -1], [75, 1, -1], [-5, 1, -1]]),
+            block("over the border", (12, -3, -1), (15, 3, 3)),
+        ),
+        (
+            quad("wall", [[12, -8, -1], [12, 8, -1], [12, 8, 5], [12, -8, 5]]),
+            block("annex", (6, 2, -1), (12, 6, 5)),
+        ),
+    ],
+)
+def test_a_side_within_a_larger_one_is_no_border(surface: SceneObject, body: SceneObject) -> None:
+    """The floor of a closed house is in the ground's plane, and the back of an annex in its wall's.
+    In one mesh with these its edges had hidden the echo by both mirrors, without a warning.
+    """
+    apart = by_two(surface, body)
+    assert len(apart) == 2
+    assert by_two(joined("site", surface, body)) == pytest.approx(apart, rel=1e-6)
+
+
+def test_a_seam_without_common_corners_is_no_border() -> None:
+    """As between strips of ground, of which one has more points along the seam."""
+    x, house = 11.95, block("house", (12, -3, -1), (15, 3, 3))
+    near = quad("near", [[-5, -40, -1], [x, -40, -1], [x, 40, -1], [-5, 40, -1]])
+    far = [
+        quad("far", [[x, low, -1], [75, low, -1], [75, high, -1], [x, high, -1]])
+        for low, high in ((-40, 7), (7, 40))
+    ]
+    whole = by_two(ground(), house)
+    assert len(whole) == 2
+    assert by_two(joined("strips", near, *far), house) == pytest.approx(whole, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected_m"),
+    [
+        ((1.0, 1.0), (2.0, 2.0), 16.0),  # within
+        ((3.0, 1.0), (6.0, 2.0), 20.0),  # over a side
+        ((4.0, 0.0), (6.0, 3.0), 20.0),  # beside
+        ((0.0, 0.0), (4.0, 4.0), 16.0),  # the same
+        ((5.0, 0.0), (6.0, 1.0), 20.0),  # apart
+    ],
+)
+def test_open_edges_are_those_of_what_two_squares_cover(low, high, expected_m: float) -> None:
+    """By their length, to the distance beyond edges at which it is tried."""
+    square = np.array([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], dtype=np.float64)
+    other = [*low, 0] + square / 4 * [*np.subtract(high, low), 0]
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]])
+    points, number = np.unique(np.concatenate([square, other]), axis=0, return_inverse=True)
+    found = open_edges(points, number.reshape(-1)[faces], np.array([0.0, 0.0, 1.0]))
+    length_m = np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1).sum()
+    assert length_m == pytest.approx(expected_m, abs=1e-3)

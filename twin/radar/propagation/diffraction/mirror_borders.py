@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import first_between
+from twin.radar.propagation.diffraction.open_edges import open_edges
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image, mirrored
@@ -32,7 +33,7 @@ def on_plane(flat: Flat, begin: Array, places: Array) -> Array:
 def border(
     prepared: PreparedScene, number: int, source: Array, behind: Sequence[int] = ()
 ) -> Outline:
-    """Edges of one triangle alone of a patch, as seen from a source, with the patch as opening;
+    """Edges beyond which a patch doesn't go on, as seen from a source, with the patch as opening;
     where other patches show it that stand before it, the last one the nearest.
     """
     flat = prepared.flats[number]
@@ -42,19 +43,15 @@ def border(
     off = np.abs((points - flat.point) @ flat.normal)
     tolerance = _IN_PLANE * (1 + np.linalg.norm(points - flat.point, axis=1))
     faces = faces[(off <= tolerance)[faces].all(axis=1)]
-    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    pairs, first, count = np.unique(
-        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    corners, first = pairs[count == 1], first[count == 1]
+    edges = open_edges(points, faces, flat.normal)
+    ends, within = edges.ends, edges.within
     for mirror in behind:
-        points = mirrored(points, prepared.flats[mirror])
-    within = points[faces[:, [2, 0, 1]].reshape(-1)[first]] - source
-    ends = points[corners] - source
+        ends, within = (mirrored(places, prepared.flats[mirror]) for places in (ends, within))
+    ends, within = ends - source, within - source
     lit = np.cross(ends[:, 0], ends[:, 1])
     lit *= np.sign(np.sum(lit * (within - ends[:, 0]), axis=1, keepdims=True))
     lit /= np.maximum(lengths(lit), 1e-300)[:, None]
-    return Outline.of(ends, np.arange(len(ends)), corners, lit)
+    return Outline.of(ends, np.arange(len(ends)), edges.corner, lit)
 
 
 def between_mirrors(prepared: PreparedScene, image: Image, leg: int, rim: Outline) -> Outline:
