@@ -164,6 +164,13 @@ def test_parts_have_names_of_their_own() -> None:
     assert names[1:3] == ["site (other part 1) (3)", "site (other part 2) (3)"]
 
 
+def test_an_object_without_an_area_has_no_parts() -> None:
+    line = thing("line", [[8, 0, 0], [8, 0.5, 0], [8, 1, 0]], [[0, 1, 2]])
+    found = trace(world(ground(), line, BOXES[1]), RADAR)
+    alone = trace(world(ground(), BOXES[1]), RADAR)
+    assert found.bodies[-1].level_amplitude == pytest.approx(alone.bodies[-1].level_amplitude)
+
+
 def test_many_parts_are_one_object() -> None:
     """It scatters, though some are near enough for a side of those far away to be large there."""
     many = [box(f"{n}", (1.2 * (n % 30) - 8.0, 1.5 * (n // 30) - 8.0, 0.3)) for n in range(300)]

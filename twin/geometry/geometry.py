@@ -144,26 +144,28 @@ class Geometry(Described):
         return welded(self.vertices_m - middle, self.faces, np.array([0, len(self.vertices_m)]))
 
     @cached_read_only
+    def _solid(self) -> NDArray[np.int64]:
+        """Welded faces that have an area, by number."""
+        a, b, c = (self.vertices_m[self.welded_faces[:, i]] for i in range(3))
+        return np.flatnonzero((np.cross(b - a, c - a) != 0).any(axis=1))
+
+    @cached_read_only
     def edges(self) -> EdgeTable:
         """Edges of the welded faces that have an area."""
-        faces = self.welded_faces
-        a, b, c = (self.vertices_m[faces[:, i]] for i in range(3))
-        return edge_table(faces[(np.cross(b - a, c - a) != 0).any(axis=1)])
+        return edge_table(self.welded_faces[self._solid])
 
     @cached_read_only
     def parts(self) -> NDArray[np.int64]:
         """Number of the part that each face belongs to, (m,), -1 of one without an area: what hangs
         together by edges of two faces. What stands on a surface meets it in edges of more.
         """
-        a, b, c = (self.vertices_m[self.welded_faces[:, i]] for i in range(3))
-        rows = np.flatnonzero((np.cross(b - a, c - a) != 0).any(axis=1))  # as of `edges`
-        table, first = self.edges, np.arange(len(rows))
+        table, first = self.edges, np.arange(len(self._solid))
         if (table.count > 2).any():
             first = first_alike(table.faces)
             table = edge_table(table.faces[np.unique(first)])
         part = np.full(len(self.faces), -1, dtype=np.int64)
         of_first = connected(table.neighbours, len(table.faces))
-        part[rows] = of_first[np.unique(first, return_inverse=True)[1]]
+        part[self._solid] = of_first[np.unique(first, return_inverse=True)[1]]
         return part
 
     @cached_property

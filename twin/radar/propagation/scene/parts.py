@@ -4,10 +4,9 @@ An object has one role. Without this, whatever a modelling program joined with t
 a pole, would be silent: a large surface mirrors by its large flat patches alone.
 """
 
-from collections.abc import Collection, Container
+from collections.abc import Collection, Set
 from dataclasses import replace
 from functools import lru_cache
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +64,13 @@ def _pieces(
     """By names of objects that are ``declared`` so, of large surfaces alone, as of `_apart`."""
     wavelength_m = radar.ofdm.wavelength_m
     place_m = scene.rig.position_m + scene.rig.device("radar")[0]
-    near_m = np.maximum(distances_m(boxes_of(scene.objects), place_m), wavelength_m)
+    items = [item for item in scene.objects if item.radar in declared]
+    if not items:
+        return {}
+    near_m = np.maximum(distances_m(boxes_of(items), place_m), wavelength_m)
     found = {}
-    for item, distance_m in zip(scene.objects, near_m.tolist(), strict=True):
-        if item.radar in declared and _may_have_parts(item.geometry, distance_m, wavelength_m):
+    for item, distance_m in zip(items, near_m.tolist(), strict=True):
+        if _may_have_parts(item.geometry, distance_m, wavelength_m):
             x, y, z = item.pose.inv().apply(place_m).tolist()
             pieces = _apart(item.geometry, (x, y, z), wavelength_m)
             if pieces is not None:
@@ -86,16 +88,15 @@ def _may_have_parts(geometry: Geometry, distance_m: float, wavelength_m: float) 
     return bool(has_small and geometry.parts.any())
 
 
-def _names(name: str, parts: int, taken: Container[str]) -> list[str]:
+def _names(name: str, parts: int, taken: Set[str]) -> list[str]:
     """Of parts of an object, unlike those of the scene's objects."""
-    for number in count(1):
-        again = "" if number == 1 else f" ({number})"
-        names = [f"{name} (other part {n}){again}" for n in range(1, parts + 1)]
-        if parts == 1:
-            names = [f"{name} (other parts){again}"]
-        if not any(one in taken for one in names):
-            break
-    return names
+    names = [f"{name} (other part {n})" for n in range(1, parts + 1)]
+    if parts == 1:
+        names = [f"{name} (other parts)"]
+    again = ("", *(f" ({number})" for number in range(2, len(taken) + 2)))
+    return next(
+        unlike for more in again if taken.isdisjoint(unlike := [f"{one}{more}" for one in names])
+    )
 
 
 def _part(item: SceneObject, name: str, geometry: Geometry) -> SceneObject:
@@ -143,7 +144,7 @@ def _touching(geometry: Geometry, some: NDArray[np.bool_]) -> list[Indices]:
 
 def boxes_of_parts(points: Array, part: NDArray[np.integer]) -> Array:
     """Boxes (n_parts, 2, 3) around points (n, k, 3) of parts from 0 on."""
-    low, high = np.full((2, int(part.max()) + 1, 3), np.inf)
+    low, high = np.full((2, int(part.max(initial=-1)) + 1, 3), np.inf)
     np.minimum.at(low, part, points.min(axis=1))
     np.minimum.at(high, part, -points.max(axis=1))
     return np.stack([low, -high], axis=1)
