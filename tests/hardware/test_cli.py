@@ -43,9 +43,11 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SpiRecord]:
     return path, made
 
 
+@pytest.mark.library("PIL")
 def test_it_draws_the_image(record: tuple[Path, SpiRecord], tmp_path: Path) -> None:
     """Each cell is a square of grey, white from the 99.5th percentile on; both images in a row."""
-    image = pytest.importorskip("PIL.Image")
+    from PIL import Image
+
     path, made = record
     arguments = (
         "reconstruct",
@@ -57,7 +59,7 @@ def test_it_draws_the_image(record: tuple[Path, SpiRecord], tmp_path: Path) -> N
     )
     done = ugv(*arguments, "--png", str(tmp_path / "a.png"))
     assert done.returncode == 0, done.stderr
-    drawn = np.asarray(image.open(tmp_path / "a.png"))
+    drawn = np.asarray(Image.open(tmp_path / "a.png"))
     light = reconstruct(made, "zero-fill").picture
     side = drawn.shape[0] // light.shape[0]
     assert drawn.shape == (side * light.shape[0], side * light.shape[1])
@@ -117,6 +119,7 @@ def test_errors_are_one_line(record, arguments: list[str], message: str) -> None
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.library("PIL")
 @pytest.mark.parametrize(
     ("option", "name", "message"),
     [
@@ -129,7 +132,6 @@ def test_errors_are_one_line(record, arguments: list[str], message: str) -> None
 def test_what_cannot_be_written_is_told_before_the_work(
     record: tuple[Path, SpiRecord], tmp_path: Path, option: str, name: str, message: str
 ) -> None:
-    pytest.importorskip("PIL")
     path, _ = record
     done = ugv("reconstruct", str(path), "--verbose", option, str(tmp_path / name))
     assert (done.returncode, message in done.stderr) == (2, True), done.stderr

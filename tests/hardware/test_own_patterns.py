@@ -87,11 +87,13 @@ def test_what_is_no_pattern_is_told(given: np.ndarray, told: str) -> None:
         own_patterns(BITS, "s-matrix")
 
 
+@pytest.mark.library("PIL")
 def test_files_hold_the_same(tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
+    from PIL import Image
+
     np.save(tmp_path / "a.npy", BITS)
     np.savez(tmp_path / "a.npz", patterns=BITS, other=np.zeros(3))
-    frames = [image.fromarray((255 * one).astype(np.uint8)) for one in BITS]
+    frames = [Image.fromarray((255 * one).astype(np.uint8)) for one in BITS]
     frames[0].save(tmp_path / "a.tiff", save_all=True, append_images=frames[1:])
     (tmp_path / "folder").mkdir()
     for n, frame in enumerate(frames):
