@@ -209,7 +209,7 @@ def test_a_port_behind_rfc2217_is_as_good_as_the_terminal_itself(firmware: Any) 
     lost: list[range] = []
     with (
         firmware.running() as path,
-        behind_rfc2217(path, hang_up_after_bytes=8_000) as url,
+        behind_rfc2217(path, hang_up_after_bytes=40_000) as url,
         SpiCamera(url, slow, on_loss=lost.append, patience=QUICK) as camera,
     ):
         records = list(camera.records(sets=200))

@@ -335,6 +335,24 @@ def test_a_thick_wall_is_passed_over_both_of_its_edges() -> None:
     assert abs(turned / pattern(0.2, 3)) == pytest.approx(abs(got / pattern(0.2, 5)), rel=0.005)
 
 
+@pytest.mark.parametrize("deep_m", [0.1, 1.0])
+@pytest.mark.parametrize("side", [(1, 1), (1, -1), (2, 1), (2, -1)])
+def test_along_a_side_both_of_its_edges_are_passed(side: tuple[int, int], deep_m: float) -> None:
+    """The radar exactly in the plane of a box's side, the target too or a hair in the shadow, as at
+    round coordinates: of boxes on all four sides the integral over both planes at their edges,
+    1/4 + asin(rho) / (2 pi) each way (Sheppard's formula for an orthant of two normal variables).
+    """
+    axis, sign = side
+    ends = np.array([[6, -4, -4], [6 + deep_m, 4, 4]], dtype=np.float64)
+    ends[0 if sign > 0 else 1, axis] = 0.0
+    a, b, c = 6.0, deep_m, 4 - deep_m
+    due = (0.25 + np.arcsin(np.sqrt(a * c / ((a + b) * (b + c)))) / (2 * np.pi)) ** 2
+    for into_shadow_m in (0.0, 1e-6, 2e-5):
+        place = np.array([10.0, 0.0, 0.0])
+        place[axis] = sign * into_shadow_m
+        assert abs(echo(box(*ends), at=point(tuple(place)))) == pytest.approx(due, rel=0.01)
+
+
 def test_nothing_comes_under_a_box_that_stands_on_the_ground() -> None:
     """Without reflections in it the ground only closes the way below: as if the box went on down.
     Off the ground it lets through what the gap does.

@@ -14,9 +14,8 @@ from twin.scene import SceneObject
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: A face seen edge on has its edges on either side: seen from this much aside, of the distance, it
-#: is one of the two.
-_ASIDE = 1e-9 * np.array([0.36, 0.48, 0.8])
+#: Of the distance: height over a face, up to which it is seen edge on.
+_EDGE_ON = 1e-9
 
 
 class Lines(NamedTuple):
@@ -116,13 +115,14 @@ class Outline:
 
 def outline(item: SceneObject, source_m: Array) -> Outline:
     """The outline of an object from a point, with what of it the object itself hides or shows in
-    front of itself.
+    front of itself. Faces of a closed one that are seen edge on count as turned away, from wherever
+    they are: of a box on whose side both ends of a way stand each sees its nearer edge.
     """
     edges = item.geometry.edges
     points = item.vertices_m - source_m
     size = float(np.abs(points[edges.ends]).max(initial=0.0))
     faces = np.ascontiguousarray(edges.faces)
-    side = kernel(_sides)(np.ascontiguousarray(points), faces, _ASIDE * size) * edges.along
+    side = kernel(_sides)(np.ascontiguousarray(points), faces, _EDGE_ON * size) * edges.along
     balance = np.add.reduceat(side[edges.half_edges], edges.first) if len(edges.first) else side
     on_it = np.flatnonzero(np.abs(balance) == edges.count)
     ends = points[edges.ends[on_it]]
@@ -133,16 +133,23 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     return Outline.of(ends[seen], on_it[seen], edges.ends[on_it][seen], lit)
 
 
-def _sides(points: Array, faces: Indices, aside: Array) -> Indices:
-    """Of the three half-edges of each face, (3 n,): 1 of faces that turn their inside to a place
-    ``aside`` of the origin, else -1.
+def _sides(points: Array, faces: Indices, edge_on_m: float) -> Indices:
+    """Of the three half-edges of each face, (3 n,): 1 of faces that turn their inside to the
+    origin, as all do that it is less than ``edge_on_m`` over, else -1.
     """
-    side = np.empty(3 * len(faces), dtype=np.int64)
+    height = np.empty(len(faces))
+    volume = 0.0
     for i in range(len(faces)):
         a, b, c = points[faces[i, 0]], points[faces[i, 1]], points[faces[i, 2]]
-        x, y, z = a[0] + aside[0], a[1] + aside[1], a[2] + aside[2]
-        u, v, w = b[0] + aside[0], b[1] + aside[1], b[2] + aside[2]
-        turn = (y * w - z * v) * (c[0] + aside[0])
-        turn += (z * u - x * w) * (c[1] + aside[1]) + (x * v - y * u) * (c[2] + aside[2])
-        side[3 * i : 3 * i + 3] = 1 if turn > 0 else -1
+        normal = np.cross(b - a, c - a)
+        turn = np.sum(normal * a)
+        height[i] = turn / max(np.sqrt(np.sum(normal**2)), 1e-300)
+        volume += turn
+    inwards = 1 if volume >= 0 else -1
+    side = np.empty(3 * len(faces), dtype=np.int64)
+    for i in range(len(faces)):
+        is_inside = height[i] > 0
+        if abs(height[i]) <= edge_on_m:
+            is_inside = inwards > 0
+        side[3 * i : 3 * i + 3] = 1 if is_inside else -1
     return side
