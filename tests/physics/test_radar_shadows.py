@@ -353,6 +353,21 @@ def test_along_a_side_both_of_its_edges_are_passed(side: tuple[int, int], deep_m
         assert abs(echo(box(*ends), at=point(tuple(place)))) == pytest.approx(due, rel=0.01)
 
 
+@pytest.mark.parametrize(("gap_m", "height_m"), [(0.1, 0.1), (0.2, 0.2)])
+def test_deep_in_their_shadow_two_sheets_are_passed_over_both_edges(
+    gap_m: float, height_m: float
+) -> None:
+    """So close that both have one outline, alike high: the farther stops the way over the edge of
+    the nearer, and nothing came. Against the integral over both planes.
+    """
+    a, b, c = 5.0, gap_m, 5.0 - gap_m
+    q = K / 2 * height_m**2 * np.array([1 / a + 1 / (b + c), 1 / (a + b) + 1 / c])
+    rho = np.array([np.sqrt(a * c / ((a + b) * (b + c)))])
+    due = abs(double_knife_edge(q[None], np.array([[False, False]]), rho)[0][0]) ** 2
+    sheets = [rectangle(f"at {x}", (-4, 4), (-4, height_m), x=x) for x in (a, a + b)]
+    assert abs(echo(*sheets)) == pytest.approx(due * pattern(height_m, 5), rel=0.02)
+
+
 def test_nothing_comes_under_a_box_that_stands_on_the_ground() -> None:
     """Without reflections in it the ground only closes the way below: as if the box went on down.
     Off the ground it lets through what the gap does.

@@ -154,6 +154,10 @@ class OuterRims:
             self._groups[group, own] = self._grouped(members, close, own)
         return self._groups[group, own].up_to(reach_m)[item]
 
+    def close_to(self, item: int) -> Indices:
+        """Objects that may have one outline with another."""
+        return self._close[item]
+
     def _grouped(self, members: Indices, close: Indices, own: int) -> "_Group":
         """Pieces of members, and of what is close those on their lines of sight; of several at one
         place that of the first object comes first.

@@ -33,6 +33,7 @@ from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.one_way.path import offset_m
 from twin.radar.propagation.scene.images import Image, mirrored
 from twin.radar.propagation.scene.mesh_scene import Flat
+from twin.radar.rows import alike, lengths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -88,7 +89,10 @@ class Segment:
             others.append(more)
             is_open.append(remains)
         twice = DiffractedPaths.concatenate(others)
-        yield twice.take(self._is_open(twice))
+        is_stopped = (blocker != paths.item) | ~_begin_as(paths, twice)
+        close = self._over_close(paths, np.where(is_stopped, blocker, NOTHING), own)
+        yield close
+        yield twice.take(self._is_open(twice) & ~_begin_as(twice, close))
         yield from self._round_two(_Singles(paths, np.concatenate(is_open), blocker))
 
     def _parts(
@@ -257,6 +261,42 @@ class Segment:
         others = DiffractedPaths.concatenate([two.take(matters), rest.take(once)])
         return others, is_open
 
+    def _over_close(
+        self, paths: DiffractedPaths, blocker: Indices, own: Indices
+    ) -> DiffractedPaths:
+        """Clear paths over an edge in the shadow that another obstacle stops, or another part of
+        the same, so close behind that both have one outline: these bend again over an edge of it
+        that the points see.
+        """
+        o, rims = self.obstacles, self.obstacles.rims_from(self.source)
+        is_stopped = np.isfinite(paths.lit_m) & (paths.lit_m <= 0) & (blocker >= 0)
+        is_stopped &= (own[paths.point] < 0) | (own[paths.point] != o.body[blocker])
+        mirrors = {o.prepared.flats[number].object for number in self.image.patches}
+        both = np.stack([paths.item, blocker], axis=1)
+        found = [paths.take(np.zeros(0, dtype=np.intp))]
+        for item, other in np.unique(both[is_stopped], axis=0).tolist():
+            if other in mirrors or (other != item and other not in rims.close_to(item)):
+                continue
+            near = paths.take(is_stopped & (both == [item, other]).all(axis=1))
+            rows = np.unique(near.point)
+            middle = self.seen[rows].mean(axis=0)
+            rim = o.outline(other, middle).from_elsewhere(self.source - middle)
+            far = self._over(other, rim, rows, edge_paths)
+            if other == item:
+                far = far.take(~np.isin(far.edge, near.edge))
+            i, j = consecutive_edges(near, far, self.source, self.seen)
+            near, far, places = near.take(i), far.take(j), self.seen[near.point[i]]
+            at_m = [lengths(x.stops[:, 0] - self.source) for x in (near, far)]
+            singly = rims.passed_singly(
+                np.broadcast_to([item, other], (len(i), 2)),
+                np.stack(at_m, axis=1),
+                lengths(places - self.source),
+            )
+            two = double_edge_paths(self.source, places, near, far, o.wavenumber)[0]
+            found.append(two.take(~singly))
+        over = DiffractedPaths.concatenate(found)
+        return over.take(self._is_open(over))
+
     def _far_rims(self, item: int, rows: Indices) -> list[Outline]:
         """Edges that points see, from the source; of sides along which the source looks those that
         are seen from its own side of the plane: the wave over one edge passes the other one also
@@ -320,6 +360,15 @@ class Opening(Segment):
     @property
     def _flat(self) -> Flat:
         return self.obstacles.prepared.flats[self.image.patches[0]]
+
+
+def _begin_as(paths: DiffractedPaths, others: DiffractedPaths) -> NDArray[np.bool_]:
+    """Which paths bend over the same edge first as others to the same point."""
+    if not len(others.point):
+        return np.zeros(len(paths.point), dtype=bool)
+    keys = (np.stack([x.point, x.item, x.edge], axis=1) for x in (paths, others))
+    same = alike(np.concatenate(list(keys)).T)
+    return np.isin(same[: len(paths.point)], same[len(paths.point) :])
 
 
 def _groups(rows: Indices, own: Indices) -> list[Indices]:

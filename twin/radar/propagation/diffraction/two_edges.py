@@ -28,7 +28,7 @@ def consecutive_edges(
     """
     i, j = matching_pairs(near.point, far.point)
     same = np.zeros(len(near.point), dtype=bool)
-    same[i[near.edge[i] == far.edge[j]]] = True
+    same[i[(near.edge[i] == far.edge[j]) & (near.item[i] == far.item[j])]] = True
     sides = np.sum(_unit(near.aside[i, 0]) * _unit(far.aside[j, 0]), axis=1)
     runs = np.abs(np.sum(near.along[i] * far.along[j], axis=1))
     is_aligned = np.minimum(sides, runs) > _ALIGNED
