@@ -286,14 +286,11 @@ class Segment:
                 far = far.take(~np.isin(far.edge, near.edge))
             i, j = consecutive_edges(near, far, self.source, self.seen)
             near, far, places = near.take(i), far.take(j), self.seen[near.point[i]]
-            at_m = [lengths(x.stops[:, 0] - self.source) for x in (near, far)]
-            singly = rims.passed_singly(
-                np.broadcast_to([item, other], (len(i), 2)),
-                np.stack(at_m, axis=1),
-                lengths(places - self.source),
-            )
+            at_m = np.stack([lengths(x.stops[:, 0] - self.source) for x in (near, far)], axis=1)
+            pairs = np.broadcast_to([item, other], at_m.shape)
+            singly = rims.passed_singly(pairs, at_m, lengths(places - self.source))
             two = double_edge_paths(self.source, places, near, far, o.wavenumber)[0]
-            found.append(two.take(~singly))
+            found.append(two.take(~singly & (at_m[:, 0] <= at_m[:, 1])))
         over = DiffractedPaths.concatenate(found)
         return over.take(self._is_open(over))
 
