@@ -23,6 +23,7 @@ from twin.radar.propagation.diffraction.knife_edge import (
     on_one_side,
 )
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
+from twin.radar.propagation.diffraction.thick_corners import ThickCorners
 from twin.radar.rows import dots, lengths
 
 Array = NDArray[np.float64]
@@ -145,6 +146,7 @@ class Bends:
         for some, number, bends in (
             (self._is_double, self._double_row, self._doubles),
             (self._is_corner, self._corner_row, self._corners),
+            (self._is_thick_corner, self._thick_corner_row, self._thick_corners),
         ):
             rows = np.flatnonzero(some[path])
             if len(rows):
@@ -167,11 +169,11 @@ class Bends:
 
     @cached_property
     def _is_double(self) -> Flags:
-        return np.asarray(self.aside.any(axis=(1, 2)) & ~self._is_corner)
+        return np.asarray(self.aside.any(axis=(1, 2)) & ~self.corner.any(axis=(1, 2)))
 
     @cached_property
     def _is_corner(self) -> Flags:
-        return np.asarray(self.corner.any(axis=(1, 2)))
+        return np.asarray(self.corner.any(axis=(1, 2)) & ~self.is_twice)
 
     @cached_property
     def _corner_row(self) -> Indices:
@@ -184,6 +186,21 @@ class Bends:
             x[some] for x in (self.source, self.known, self.stop, self.corner, self.aside)
         )
         return CornerBends(source, known, self.wavenumber, stop, edges, lit)
+
+    @cached_property
+    def _is_thick_corner(self) -> Flags:
+        return np.asarray(self.corner.any(axis=(1, 2)) & self.is_twice)
+
+    @cached_property
+    def _thick_corner_row(self) -> Indices:
+        return np.cumsum(self._is_thick_corner) - 1
+
+    @cached_property
+    def _thick_corners(self) -> ThickCorners:
+        some = np.flatnonzero(self._is_thick_corner)
+        stops = np.stack([self.begin[some], self.stop[some]], axis=1)
+        source, known, edges = (x[some] for x in (self.source, self.known, self.corner))
+        return ThickCorners(source, known, self.wavenumber, stops, edges)
 
     @cached_property
     def _double_row(self) -> Indices:

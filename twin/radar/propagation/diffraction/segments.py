@@ -19,6 +19,7 @@ from twin.radar.propagation.diffraction.rims import (
     rim_paths,
 )
 from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.diffraction.thick_corners import CornerPairs, by_thick_corners
 from twin.radar.propagation.diffraction.two_edges import (
     ONE_EDGE,
     consecutive_edges,
@@ -84,8 +85,8 @@ class Segment:
         blocker = self._blocker(paths)
         each_open = np.split(blocker == NOTHING, np.cumsum([len(one.point) for one in over])[:-1])
         others, is_open = [], []
-        for (item, _, rows), one, is_clear in zip(parts, over, each_open, strict=True):
-            more, remains = self._twice(item, rows, one, is_clear)
+        for part, one, is_clear in zip(parts, over, each_open, strict=True):
+            more, remains = self._twice(*part, one, is_clear)
             others.append(more)
             is_open.append(remains)
         twice = DiffractedPaths.concatenate(others)
@@ -235,16 +236,21 @@ class Segment:
         return replace(paths, aside=aside)
 
     def _twice(
-        self, item: int, rows: Indices, paths: DiffractedPaths, is_open: NDArray[np.bool_]
+        self,
+        item: int,
+        rim: Outline,
+        rows: Indices,
+        paths: DiffractedPaths,
+        is_open: NDArray[np.bool_],
     ) -> tuple[DiffractedPaths, NDArray[np.bool_]]:
         """Paths over two edges, where the points see other edges of the obstacle than the source.
 
-        Returns these with paths over one of the edges that the points see; and which of ``paths``
-        are clear, without those that a path over two edges replaces.
+        Returns these with paths over one of the edges that the points see, and those by corners of
+        both; and which of ``paths`` are clear, without those that a path over two edges replaces.
         """
-        o = self.obstacles
+        o, far_rims = self.obstacles, self._far_rims(item, rows)
         far = DiffractedPaths.concatenate(
-            [self._over(item, rim, rows, edge_paths) for rim in self._far_rims(item, rows)]
+            [self._over(item, rim, rows, edge_paths) for rim in far_rims]
         )
         edges = np.flatnonzero(np.isfinite(paths.lit_m))
         i, j = consecutive_edges(paths.take(edges), far, self.source, self.seen)
@@ -258,7 +264,11 @@ class Segment:
         is_open[i[matters & ~alone[:, 0]]] = False
         rest = other.take(matters & alone[:, 1])
         _, once = np.unique(np.stack([rest.point, rest.edge]), axis=1, return_index=True)
-        others = DiffractedPaths.concatenate([two.take(matters), rest.take(once)])
+        towards = self.seen[rows].mean(axis=0) - self.source
+        pairs = CornerPairs.of(Outline.together([rim, *far_rims]), towards)
+        corners, row = by_thick_corners(pairs, paths, self.source, self.seen, o.wavenumber)
+        is_open[row] = False
+        others = DiffractedPaths.concatenate([two.take(matters), rest.take(once), corners])
         return others, is_open
 
     def _over_close(
