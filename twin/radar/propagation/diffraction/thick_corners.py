@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from twin.radar.propagation.diffraction.double_bends import DoubleBends
 from twin.radar.propagation.diffraction.knife_edge import knife_edge_factor
 from twin.radar.propagation.diffraction.rims import DiffractedPaths
 from twin.radar.propagation.diffraction.two_edges import ONE_EDGE
 from twin.radar.propagation.meshes.silhouettes import Outline
-from twin.radar.rows import lengths, phasors
+from twin.radar.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,8 +54,8 @@ class CornerPairs(NamedTuple):
         as_they_are = np.minimum(cosine[..., 0, 0], cosine[..., 1, 1])
         swapped = np.minimum(cosine[..., 0, 1], cosine[..., 1, 0])
         off_m = lengths(corners.places)
-        is_pair = (np.maximum(as_they_are, swapped) > _ALIGNED) & (off_m[:, None] < off_m)
-        i, j = np.nonzero(is_pair & ~_same(corners.places[:, None], corners.places))
+        aligned = np.maximum(as_they_are, swapped) > _ALIGNED
+        i, j = np.nonzero(aligned & (off_m[:, None] + _SAME_M < off_m))
         order = np.argsort(lengths(corners.places[j] - corners.places[i]), kind="stable")
         taken, pairs = set[int](), []
         for one, other in zip(i[order].tolist(), j[order].tolist(), strict=True):
@@ -80,16 +81,13 @@ def _corners(seen: Outline, way: Array) -> _Corners:
     some = np.flatnonzero(size > _SEEN)
     places, inwards, lit = places[some], inwards[some], lit[some]
     across = across[some] / size[some, None]
-    is_corner = _same(places[:, None], places) & (np.abs(across @ across.T) < _SQUARE)
-    outside = lit @ inwards.T < 0
-    i, j = np.nonzero(np.triu(is_corner & outside & outside.T))
+    i, j = cKDTree(places).query_pairs(_SAME_M, output_type="ndarray").T
+    is_corner = np.abs(dots(across[i], across[j])) < _SQUARE
+    is_corner &= (dots(lit[i], inwards[j]) < 0) & (dots(lit[j], inwards[i]) < 0)
+    i, j = i[is_corner], j[is_corner]
     _, first = np.unique(np.round(places[i] / _SAME_M), axis=0, return_index=True)
     i, j = i[first], j[first]
     return _Corners(places[i], np.stack([inwards[i], inwards[j]], axis=1))
-
-
-def _same(one: Array, other: Array) -> Flags:
-    return np.asarray((np.abs(one - other) < _SAME_M).all(axis=-1))
 
 
 class _Behind(NamedTuple):
@@ -195,12 +193,15 @@ def by_thick_corners(
     Where the straight way passes one edge of two, and not the other, these remain.
     """
     found, rows = [paths.take(np.zeros(0, dtype=np.intp))], [np.zeros(0, dtype=np.int64)]
+    ends = np.flatnonzero(paths.corner.any(axis=(1, 2)))
+    if not len(ends) or not len(pairs.places):
+        return found[0], rows[0]
     at = paths.stops[:, 0] - source
-    is_end = paths.corner.any(axis=(1, 2))
-    for both, edges in zip(*pairs, strict=True):
-        is_there = is_end & (_same(at, both[0]) | _same(at, both[1]))
-        points, first = np.unique(paths.point[is_there], return_index=True)
-        first = np.flatnonzero(is_there)[first]
+    near = cKDTree(at[ends]).query_ball_point(pairs.places, _SAME_M)
+    for both, edges, met in zip(*pairs, near, strict=True):
+        there = ends[np.sort(np.concatenate([*met]).astype(np.int64))]
+        points, first = np.unique(paths.point[there], return_index=True)
+        first = there[first]
         one = np.ones(len(points))[:, None]
         corners = ThickCorners(
             one * source,
@@ -210,6 +211,8 @@ def by_thick_corners(
             one[..., None] * edges,
         )
         some = np.flatnonzero(corners.is_plain & (corners.apart > ONE_EDGE))
+        if not len(some):
+            continue
         amplitude, longer = corners.waves(some, corners.known[some])
         one = paths.take(first[some])
         outwards = -edges.sum(axis=0) / np.linalg.norm(edges.sum(axis=0))
@@ -223,8 +226,9 @@ def by_thick_corners(
                 longer_m=longer / wavenumber,
             )
         )
-        is_between = ~is_end & _is_between(at, paths.along, both)
-        rows.append(np.flatnonzero((is_there | is_between) & np.isin(paths.point, points[some])))
+        edge = np.flatnonzero(_is_between(at, paths.along, both))
+        there = np.concatenate([there, edge])
+        rows.append(there[np.isin(paths.point[there], points[some])])
     return DiffractedPaths.concatenate(found), np.concatenate(rows)
 
 
