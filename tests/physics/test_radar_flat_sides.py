@@ -61,7 +61,7 @@ def test_a_side_is_a_half_space_between_two_edges(top_m: float) -> None:
     """
     y = np.linspace(-0.2, 0.2, 81)
     edge = np.array([[2.3, top_m, -1.5], [2.3, top_m, 1.5]])
-    side = Side(edge, *np.eye(3)[[2, 0, 1]], front_m=1.5, rear_m=2.3, item=0)
+    side = Side(edge, *np.eye(3)[[2, 0, 1]], front_m=1.5, rear_m=2.3, item=0, edge_on_m=0.0)
     points = np.stack([np.full_like(y, 4.5), y, 0 * y], axis=1)
     got = changed_by(side, points, K, -1.0, is_mirror=False)
     black, due = (

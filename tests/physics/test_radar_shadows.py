@@ -368,6 +368,14 @@ def test_deep_in_their_shadow_two_sheets_are_passed_over_both_edges(
     assert abs(echo(*sheets)) == pytest.approx(due * pattern(height_m, 5), rel=0.02)
 
 
+@pytest.mark.parametrize("beyond_m", [1e-15, 1e-12, 1e-10, 1e-8])
+def test_a_hair_over_a_side_it_is_as_in_its_plane(beyond_m: float) -> None:
+    """By rounding the radar stands on either side: a target in the light was off by 0.09."""
+    at = point((10.0, 0.0, 0.03))
+    exactly, over = (echo(box([6, -4, -4], [7, 4, z]), at=at) for z in (0.0, -beyond_m))
+    assert abs(over - exactly) < 1e-3
+
+
 def test_nothing_comes_under_a_box_that_stands_on_the_ground() -> None:
     """Without reflections in it the ground only closes the way below: as if the box went on down.
     Off the ground it lets through what the gap does.

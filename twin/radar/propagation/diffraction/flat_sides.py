@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from twin.geometry.edges import EdgeTable, connected
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
 from twin.radar.propagation.diffraction.two_edges import ONE_EDGE
-from twin.radar.propagation.meshes.silhouettes import Outline
+from twin.radar.propagation.meshes.silhouettes import Outline, edge_on_m
 from twin.radar.rows import dots, lengths, phasors
 
 Array = NDArray[np.float64]
@@ -38,7 +38,8 @@ class Side:
 
     ``edge`` (2, 3): ends of one of the edges, relative to the source; unit vectors ``along`` it,
     ``inwards`` along the wave from the front edge to the rear one, and the outer ``normal``;
-    ``front_m`` and ``rear_m``: both edges along ``inwards``; ``item``: number of the object.
+    ``front_m`` and ``rear_m``: both edges along ``inwards``; ``item``: number of the object;
+    ``edge_on_m``: up to this height over it places count as below.
     """
 
     edge: Array
@@ -48,11 +49,17 @@ class Side:
     front_m: float
     rear_m: float
     item: int
+    edge_on_m: float
 
     @property
     def height_m(self) -> float:
         """Of the source over the side."""
         return -float(self.edge[0] @ self.normal)
+
+    @property
+    def is_source_over(self) -> bool:
+        """Whether the source sees the side."""
+        return self.height_m > self.edge_on_m
 
     def over_m(self, places: Array) -> Array:
         """Heights over the side of places relative to the source."""
@@ -126,7 +133,7 @@ def _side(
     inwards = np.cross(normal, along)
     inwards *= np.sign(inwards @ middle)
     depth_m = (points - middle) @ inwards
-    is_seen = normal @ middle < 0
+    is_seen = -float(normal @ middle) > edge_on_m(points)
     if is_seen == (depth_m[table.faces[face]].sum() > 0):
         return None
     off_m = np.abs((points - middle) @ normal)[table.faces].max(axis=1)
@@ -138,7 +145,9 @@ def _side(
     corners = table.faces[flat[part == part[place[face]]]]
     reach_m, at_m = depth_m[corners], float(middle @ inwards)
     front_m, rear_m = (reach_m.min(), 0.0) if is_seen else (0.0, reach_m.max())
-    return Side(ends, along, inwards, normal, at_m + front_m, at_m + rear_m, item)
+    return Side(
+        ends, along, inwards, normal, at_m + front_m, at_m + rear_m, item, edge_on_m(points)
+    )
 
 
 def _is_deep(side: Side) -> bool:

@@ -314,7 +314,7 @@ class Segment:
         rims = []
         for side in o.sides if self.level == 0 else ():
             over_m = float(side.over_m(middle - self.source))
-            if side.item == item and (over_m > 0) != (side.height_m > 0):
+            if side.item == item and (over_m > side.edge_on_m) != side.is_source_over:
                 seen = seen.take(np.flatnonzero(~side.has(seen.ends)))
                 place = middle - 2 * over_m * side.normal
                 other = o.outline(item, place).from_elsewhere(self.source - place)

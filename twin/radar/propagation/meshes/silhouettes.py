@@ -14,8 +14,7 @@ from twin.scene import SceneObject
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Of the distance: height over a face, up to which it is seen edge on.
-_EDGE_ON = 1e-9
+_EDGE_ON = 1e-9  # of an object's size: height over a face, up to which it is seen edge on
 
 
 class Lines(NamedTuple):
@@ -122,7 +121,7 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     points = item.vertices_m - source_m
     size = float(np.abs(points[edges.ends]).max(initial=0.0))
     faces = np.ascontiguousarray(edges.faces)
-    side = kernel(_sides)(np.ascontiguousarray(points), faces, _EDGE_ON * size) * edges.along
+    side = kernel(_sides)(np.ascontiguousarray(points), faces, edge_on_m(points)) * edges.along
     balance = np.add.reduceat(side[edges.half_edges], edges.first) if len(edges.first) else side
     on_it = np.flatnonzero(np.abs(balance) == edges.count)
     ends = points[edges.ends[on_it]]
@@ -131,6 +130,13 @@ def outline(item: SceneObject, source_m: Array) -> Outline:
     seen = length > 1e-12 * size**2  # not end on
     lit = lit[seen] / length[seen, None]
     return Outline.of(ends[seen], on_it[seen], edges.ends[on_it][seen], lit)
+
+
+def edge_on_m(points: Array) -> float:
+    """Of a mesh with corners (n, 3): heights over its faces up to which these are seen edge on, the
+    same from everywhere.
+    """
+    return _EDGE_ON * float(np.ptp(points, axis=0).max(initial=0.0)) if len(points) else 0.0
 
 
 def _sides(points: Array, faces: Indices, edge_on_m: float) -> Indices:
