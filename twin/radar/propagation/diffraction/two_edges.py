@@ -24,7 +24,8 @@ def consecutive_edges(
     """Pairs of paths over two parallel edges on the same side of an obstacle, one behind the other:
     one of ``near``, whose edges are seen from the source, and one of ``far``, whose edges are seen
     from the points, at ``places`` (n, 3). At most one pair for each of ``near``, and none for an
-    edge seen from both; one of ``far`` that is as good as one of ``near`` has that one alone.
+    edge seen from both; one of ``far`` that is as good as one of ``near`` has that one alone. Of
+    several behind one it is the outermost as seen from the point.
     """
     i, j = matching_pairs(near.point, far.point)
     same = np.zeros(len(near.point), dtype=bool)
@@ -40,9 +41,20 @@ def consecutive_edges(
     has_one[j[is_one]] = True
     rows = np.flatnonzero(~same[i] & is_aligned & (is_one | ~has_one[j]))
     best = np.round(np.minimum(sides, runs)[rows], 2)
-    rows = rows[np.lexsort((far.longer_m[j[rows]], -best, i[rows]))]
+    height = _heights(far, source, places)[j[rows]]
+    rows = rows[np.lexsort((-height, -best, i[rows]))]
     first = np.unique(i[rows], return_index=True)[1]
     return i[rows][first], j[rows][first]
+
+
+def _heights(paths: DiffractedPaths, source: Array, places: Array) -> Array:
+    """Of edges over the straight ways as seen from the points, as angles, negative in the light."""
+    seen = places[paths.point] - source
+    way = _unit(seen)
+    stop = paths.stops[:, 0] - source
+    off = np.linalg.norm(stop - np.sum(stop * way, axis=1)[:, None] * way, axis=1)
+    height: Array = np.where(paths.lit_m > 0, -off, off) / np.linalg.norm(seen - stop, axis=1)
+    return height
 
 
 def double_edge_paths(
