@@ -299,8 +299,8 @@ class Segment:
             at_m = np.stack([lengths(x.stops[:, 0] - self.source) for x in (near, far)], axis=1)
             pairs = np.broadcast_to([item, other], at_m.shape)
             singly = rims.passed_singly(pairs, at_m, lengths(places - self.source))
-            two = double_edge_paths(self.source, places, near, far, o.wavenumber)[0]
-            found.append(two.take(~singly & (at_m[:, 0] <= at_m[:, 1])))
+            two, apart, _ = double_edge_paths(self.source, places, near, far, o.wavenumber)
+            found.append(two.take(~singly & (apart > ONE_EDGE) & (at_m[:, 0] <= at_m[:, 1])))
         over = DiffractedPaths.concatenate(found)
         return over.take(self._is_open(over))
 

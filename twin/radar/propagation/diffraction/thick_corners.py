@@ -33,6 +33,7 @@ Indices = NDArray[np.int64]
 _ALIGNED = 0.95  # cosine between edges of both corners, at least
 _SQUARE = 0.3  # cosine between a corner's edges as seen along the way, at most
 _SAME_M = 1e-6  # of places of one corner, at most
+_BEHIND = 0.95  # cosine between the way and that from one corner to the other, at least
 _SEEN = 0.5  # of the length of an edge, as seen along the way, at least
 
 
@@ -49,13 +50,14 @@ class CornerPairs(NamedTuple):
         """Convex ones of edges that the source or the points see, aligned with each other and about
         square across a way (3,).
         """
-        corners = _corners(seen, towards / np.linalg.norm(towards))
+        way = towards / np.linalg.norm(towards)
+        corners = _corners(seen, way)
         cosine = np.einsum("iad,jbd->ijab", corners.edges, corners.edges)
         as_they_are = np.minimum(cosine[..., 0, 0], cosine[..., 1, 1])
         swapped = np.minimum(cosine[..., 0, 1], cosine[..., 1, 0])
-        off_m = lengths(corners.places)
-        aligned = np.maximum(as_they_are, swapped) > _ALIGNED
-        i, j = np.nonzero(aligned & (off_m[:, None] + _SAME_M < off_m))
+        behind = corners.places - corners.places[:, None]
+        is_behind = behind @ way > _BEHIND * np.linalg.norm(behind, axis=2) + _SAME_M
+        i, j = np.nonzero(is_behind & (np.maximum(as_they_are, swapped) > _ALIGNED))
         order = np.argsort(lengths(corners.places[j] - corners.places[i]), kind="stable")
         taken, pairs = set[int](), []
         for one, other in zip(i[order].tolist(), j[order].tolist(), strict=True):
