@@ -373,8 +373,8 @@ def _begin_as(paths: DiffractedPaths, others: DiffractedPaths) -> NDArray[np.boo
     """Which paths bend over the same edge first as others to the same point."""
     if not len(others.point):
         return np.zeros(len(paths.point), dtype=bool)
-    keys = (np.stack([x.point, x.item, x.edge], axis=1) for x in (paths, others))
-    same = alike(np.concatenate(list(keys)).T)
+    both = DiffractedPaths.concatenate([paths, others])
+    same = alike([both.point, both.item, both.edge])
     return np.isin(same[: len(paths.point)], same[len(paths.point) :])
 
 

@@ -127,8 +127,8 @@ class ThickCorners:
         one, other = (self._behind(axis, path, places) for axis in (0, 1))
         whole = 1 - np.sum(one.taken * other.taken, axis=1) + one.both * other.both
         one_lit, other_lit = (is_lit[path] for is_lit in self._known_lit)
-        rest = (one_lit | other_lit) * 1.0
-        rest = rest + ~other_lit * (one.left - one_lit) + ~one_lit * (other.left - other_lit)
+        rest = ~other_lit * (one.left - one_lit) + ~one_lit * (other.left - other_lit)
+        rest += one_lit | other_lit
         turns = [self.source[path], *self.stops[path].swapaxes(0, 1), places]
         way = sum(lengths(end - begin) for begin, end in pairwise(turns))
         longer = self.wavenumber * (way - lengths(places - turns[0]))
@@ -145,14 +145,8 @@ class ThickCorners:
     @property
     def apart(self) -> Array:
         """1 - correlation^2 of the edges one behind the other, (n,)."""
-        a, b, c = (
-            lengths(end - begin)
-            for begin, end in (
-                (self.source, self.stops[:, 0]),
-                (self.stops[:, 0], self.stops[:, 1]),
-                (self.stops[:, 1], self.known),
-            )
-        )
+        turns = [self.source, *self.stops.swapaxes(0, 1), self.known]
+        a, b, c = (lengths(end - begin) for begin, end in pairwise(turns))
         return np.asarray(1 - a * c / ((a + b) * (b + c)))
 
     @cached_property
@@ -170,8 +164,8 @@ class ThickCorners:
     def _known_lit(self) -> tuple[Flags, Flags]:
         """Whether the straight waves pass both edges of each pair."""
         every = np.arange(len(self.known))
-        one, other = (self._behind(axis, every, self.known).is_lit.all(axis=1) for axis in (0, 1))
-        return one, other
+        one, other = (self._behind(axis, every, self.known).is_lit for axis in (0, 1))
+        return np.asarray(one.all(axis=1)), np.asarray(other.all(axis=1))
 
     def _behind(self, axis: int, path: Indices, places: Array) -> _Behind:
         """Behind the edges along one of both axes."""
@@ -204,13 +198,13 @@ def by_thick_corners(
         there = ends[np.sort(np.concatenate([*met]).astype(np.int64))]
         points, first = np.unique(paths.point[there], return_index=True)
         first = there[first]
-        one = np.ones(len(points))[:, None]
+        every = np.ones((len(points), 1))
         corners = ThickCorners(
-            one * source,
+            every * source,
             places[points],
             wavenumber,
-            one[..., None] * (source + both),
-            one[..., None] * edges,
+            every[..., None] * (source + both),
+            every[..., None] * edges,
         )
         some = np.flatnonzero(corners.is_plain & (corners.apart > ONE_EDGE))
         if not len(some):
