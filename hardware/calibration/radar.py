@@ -78,11 +78,14 @@ class RadarCalibration(Warned):
         check_positive("carrier_hz", self.carrier_hz)
 
     @classmethod
-    def of(cls, bursts: Iterable[tuple[RadarRecord, Frame]], target: CalibrationTarget) -> Self:
+    def of(
+        cls, bursts: Iterable[tuple[RadarRecord, Frame | None]], target: CalibrationTarget
+    ) -> Self:
         """From the strongest echo near the target in every whole burst: the mean.
 
         Bursts that differ by more than their noise are warned of, and their scatter is the error
-        then: what moved them moves the next one as far.
+        then: what moved them moves the next one as far. A record without a frame (None), of which
+        nothing could be processed, counts in the numbers by which warnings name records.
 
         Raises InputError for bursts of unlike radars, for saturated ones, which lack power, and
         where no burst has an echo near the target.
@@ -91,7 +94,9 @@ class RadarCalibration(Warned):
         for record, frame in bursts:
             first = first or record
             _check_alike(first, record)
-            echoes.add(record, frame)
+            echoes.count(record)
+            if frame:
+                echoes.add(record, frame)
         if first is None or not echoes.offset_m:
             raise InputError(echoes.none)
         offset_m, offset_error_m = echoes.combined(echoes.offset_m, "range offsets", "m")
@@ -175,15 +180,18 @@ class _Echoes:
         away = quantity_text(self.target.distance_m, "m")
         return f"detections: none within {_NEAR_M:g} m of the target at {away}"
 
+    def count(self, record: RadarRecord) -> None:
+        """Number a record, unless it is that of the burst before."""
+        if record is not self._record:
+            self.n_records, self._record = self.n_records + 1, record
+
     def add(self, record: RadarRecord, frame: Frame) -> None:
-        """A burst. Raises InputError for a saturated one."""
+        """A burst of the record counted last. Raises InputError for a saturated one."""
         if told := saturation(record, frame.burst):
             raise InputError(
                 f"{told}: expected none in a calibration; take it anew with less gain, or a "
                 "smaller or more distant target"
             )
-        if record is not self._record:
-            self.n_records, self._record = self.n_records + 1, record
         of_record = f"record {self.n_records}: " if self.n_records > 1 else ""
         burst = f"{of_record}burst {frame.burst}"
         self.warnings += [of_record + warning for warning in frame.warnings]

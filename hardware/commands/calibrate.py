@@ -73,8 +73,9 @@ def calibrate_radar(
     _check_positive(distance=distance, cross_section=cross_section)
     target = CalibrationTarget(distance, cross_section)
     incoming = records_of(source, None, radar_setup)
+    bursts = _bursts(say, source, incoming, None if is_log(source) else 1)
     try:
-        result = RadarCalibration.of(_bursts(say, incoming, None if is_log(source) else 1), target)
+        result = RadarCalibration.of(bursts, target)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     for warning in result.warnings:
@@ -97,9 +98,11 @@ def calibrate_radar(
 
 
 def _bursts(
-    say: Output, incoming: "Iterator[Received]", records: int | None
-) -> "Iterator[tuple[RadarRecord, Frame]]":
-    """What the bursts of so many radar records show, of all: None."""
+    say: Output, source: str, incoming: "Iterator[Received]", records: int | None
+) -> "Iterator[tuple[RadarRecord, Frame | None]]":
+    """What the bursts of so many radar records show, of all: None; no frame of a record that is
+    left out.
+    """
     from hardware.radar.integrity import TooLittleLeftError
     from hardware.radar.process import frames
     from hardware.records import RadarRecord
@@ -110,7 +113,8 @@ def _bursts(
             for frame in frames(record):
                 yield record, frame
         except TooLittleLeftError as error:
-            say.warn(f"record {number}: left out: {error}")
+            say.warn(f"{source}: record {number}: left out: {error}")
+            yield record, None
 
 
 def _check_positive(**options: float) -> None:

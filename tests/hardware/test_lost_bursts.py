@@ -54,8 +54,24 @@ def test_calibrate_goes_on_behind_it(log: Path, tmp_path: Path) -> None:
     of_target = ("--distance", "9 m", "--cross-section", "1 m^2")
     done = ugv("calibrate", "radar", log, "-o", tmp_path / "radar.h5", *of_target)
     assert not done.returncode, done.stderr
-    assert "record 2: left out: burst 0, step 0, slot 1: after a gap" in done.stderr
+    told = f"{log}: record 2: left out: burst 0, step 0, slot 1: after a gap"
+    assert told in done.stderr
     assert "two-way gain" in done.stdout
+
+
+def test_calibrate_numbers_records_as_the_log_does(tmp_path: Path) -> None:
+    """Those behind one of which nothing is left had the numbers of those that are left."""
+    path = tmp_path / "drive.mcap"
+    with Log(path) as log:
+        for number, first_lost in enumerate((WIDE.n_slots, 0, WIDE.n_slots, 20)):
+            record = _record()
+            record.flags[0, 0, first_lost:] = Flag.LOST
+            log.record("/radar/record", record, host_ns=number * 10**8)
+    of_target = ("--distance", "9 m", "--cross-section", "1 m^2")
+    done = ugv("calibrate", "radar", path, "-o", tmp_path / "radar.h5", *of_target)
+    assert not done.returncode, done.stderr
+    assert f"{path}: record 2: left out: burst 0, step 0, slot 0: flagged" in done.stderr
+    assert f"{path}: record 4: burst 0, step 0, slot 20: flagged as lost" in done.stderr
 
 
 @pytest.fixture
