@@ -103,7 +103,7 @@ def _bursts(
     """What the bursts of so many radar records show, of all: None; no frame of a record that is
     left out.
     """
-    from hardware.radar.integrity import TooLittleLeftError
+    from hardware.radar.integrity import UnusableBurstError
     from hardware.radar.process import frames
     from hardware.records import RadarRecord
 
@@ -112,7 +112,7 @@ def _bursts(
         try:
             for frame in frames(record):
                 yield record, frame
-        except TooLittleLeftError as error:
+        except UnusableBurstError as error:
             say.warn(f"{source}: record {number}: left out: {error}")
             yield record, None
 

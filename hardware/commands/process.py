@@ -165,13 +165,13 @@ class _Processed:
 
     def add(self, received: "Received", write_results: "Callable[[], RecordSummary]") -> None:
         """Process a record and print what came of it. Raises InputError where it is whole."""
-        from hardware.radar.integrity import TooLittleLeftError
+        from hardware.radar.integrity import UnusableBurstError
 
         say, topic = self.say, received.topic
         try:
             summary = write_results()
         except InputError as error:
-            if not (isinstance(error, TooLittleLeftError) or received.record.flags.any()):
+            if not (isinstance(error, UnusableBurstError) or received.record.flags.any()):
                 raise
             # Too little of this record arrived; the next one may be whole.
             self.n_failed += 1

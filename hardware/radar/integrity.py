@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_index
 from hardware.radar.receivers import check_receivers, silent_slots
+from hardware.radar.windows import has_weight
 from hardware.records.container import Flag, unknown_flags
 from hardware.records.radar import RAIL
 
@@ -24,8 +25,8 @@ _WITHOUT_SAMPLES = {Flag.OVERRUN: "overrun", Flag.RESET: "reset", Flag.LOST: "lo
 _MOST_NAMED = 10
 
 
-class TooLittleLeftError(InputError):
-    """A burst of which too little is left without a loss of data to be processed."""
+class UnusableBurstError(InputError):
+    """A burst of which nothing can be processed, for what is in it; others of its record may be."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     What is beyond a lost slot is left out with it: in the gap's place the transforms would take
     zeros for echoes, which lowers levels and raises side lobes.
 
-    Raises TooLittleLeftError where no part is long enough; InputError for receivers that hold
+    Raises UnusableBurstError where no part is long enough; InputError for receivers that hold
     nothing of their own in it, see `check_receivers`, and for a burst that the record does not
     have.
     """
@@ -68,7 +69,7 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     part = _intact_part(record, burst)
     steps, slots = part.steps, part.slots
     if not part.is_enough:
-        raise TooLittleLeftError(_too_little(burst, part.loss))
+        raise UnusableBurstError(_too_little(burst, part.loss))
     check_receivers(burst, record.iq[burst, steps, slots], record.waveform)
     warnings = _levels(record, burst)
     if part.loss:
@@ -84,12 +85,24 @@ def first_loss(record: "RadarRecord", burst: int) -> str:
     return _intact_part(record, burst).loss
 
 
-def unusable_bursts(record: "RadarRecord") -> dict[int, str]:
-    """Bursts of which a loss of data leaves too little to be processed, and why."""
-    parts = {burst: _intact_part(record, burst) for burst in range(len(record.iq))}
-    return {
-        burst: _too_little(burst, part.loss) for burst, part in parts.items() if not part.is_enough
-    }
+def unusable_bursts(record: "RadarRecord", window: str = "boxcar") -> dict[int, str]:
+    """Bursts of which a loss of data leaves too little to be processed with a window over slots,
+    and why.
+    """
+    faults = {burst: _fault(record, burst, window) for burst in range(len(record.iq))}
+    return {burst: fault for burst, fault in faults.items() if fault}
+
+
+def _fault(record: "RadarRecord", burst: int, window: str) -> str:
+    part = _intact_part(record, burst)
+    if not part.is_enough:
+        return _too_little(burst, part.loss)
+    senders = record.transmitter[part.slots]
+    n_slots = len(senders) // len(np.unique(senders))
+    if has_weight(window, n_slots):
+        return ""
+    what = f"the window {window!r} has no weight on {n_slots} slots of a transmitter"
+    return f"burst {burst}, {part.loss}; {what}" if part.loss else f"burst {burst}: {what}"
 
 
 def told_left_out(why: Mapping[int, str], n_bursts: int) -> str:

@@ -32,7 +32,7 @@ from hardware.radar.detection_warnings import (
     untested_rates,
     without_directions,
 )
-from hardware.radar.integrity import TooLittleLeftError, told_left_out, unusable_bursts
+from hardware.radar.integrity import UnusableBurstError, told_left_out, unusable_bursts
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
@@ -123,8 +123,7 @@ def process(
     >>> f"{detection.range_m:.2f} m, {detection.range_rate_m_per_s:.1f} m/s"
     '20.00 m, 0.0 m/s'
     """
-    how = Processing() if how is None else how
-    check_kind("how", how, Processing, "hardware.Processing")
+    how = _settings(how)
     interval = demodulate(
         record,
         burst,
@@ -180,6 +179,13 @@ def process(
         clutter=clutter,
         detection=own.name if own else "",
     )
+
+
+def _settings(how: Processing | None) -> Processing:
+    """None: the default. Raises InputError for anything else that is no `Processing`."""
+    how = Processing() if how is None else how
+    check_kind("how", how, Processing, "hardware.Processing")
+    return how
 
 
 def _detections(
@@ -242,13 +248,14 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Results of all bursts of which a loss of data leaves enough; the first warns of the others.
+    """Results of all bursts of which a loss of data leaves enough for the window; the first warns
+    of the others.
 
-    Raises TooLittleLeftError where that is none, and as `process`.
+    Raises UnusableBurstError where that is none, and as `process`.
     """
-    n_bursts, unusable = len(record.iq), unusable_bursts(record)
+    n_bursts, unusable = len(record.iq), unusable_bursts(record, _settings(how).window)
     if n_bursts and len(unusable) == n_bursts:
-        raise TooLittleLeftError(unusable[0])
+        raise UnusableBurstError(unusable[0])
     warnings = (told_left_out(unusable, n_bursts),) if unusable else ()
     for burst in (number for number in range(n_bursts) if number not in unusable):
         frame = process(record, burst, how, waveform=waveform)

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 #: Blackman-Harris, minimum 4-term (Harris, Proc. IEEE 66, 1978): which every burst needs.
 _COSINES = (0.35875, 0.48829, 0.14128, 0.01168)
 _LOBE = 1e-3  # of the peak's power, at which a main lobe ends
+_NO_WEIGHT = 1e-9  # mean of a window that is 0 everywhere but for rounding, as hann of two samples
 
 
 def check_window(window: object) -> None:
@@ -26,24 +27,34 @@ def check_window(window: object) -> None:
 def normalised_window(name: str, size: int) -> Array:
     """Window of mean 1: peaks keep their power, noise increases by the mean square. Read-only.
 
-    Raises InputError for a name that SciPy does not know.
+    Raises InputError for a name that SciPy does not know, and where it is 0 everywhere.
     """
-    if name == "boxcar":  # the default: without half a second of scipy.signal's import
-        window = np.ones(size)
-    elif name == "blackmanharris" and size > 1:
-        turn = np.linspace(-np.pi, np.pi, size)
-        window = np.sum([a * np.cos(k * turn) for k, a in enumerate(_COSINES)], axis=0)
-    else:
-        from scipy.signal import get_window
-
-        try:
-            window = get_window(name, size, fftbins=False)
-        except ValueError as error:
-            expected = "expected a name that scipy.signal.get_window knows"
-            raise InputError(f"window: {name!r}: {expected}") from error
+    if not has_weight(name, size):
+        raise InputError(f"window: {name!r} has no weight on {size} samples")
+    window = _window(name, size)
     window = np.asarray(window / window.mean(), dtype=np.float64)
     window.setflags(write=False)
     return window
+
+
+def has_weight(name: str, size: int) -> bool:
+    """Whether a window is not 0 everywhere, as one that ends with 0 is on two samples."""
+    return bool(abs(_window(name, size).mean()) > _NO_WEIGHT)
+
+
+def _window(name: str, size: int) -> Array:
+    if name == "boxcar":  # the default: without half a second of scipy.signal's import
+        return np.ones(size)
+    if name == "blackmanharris" and size > 1:
+        turn = np.linspace(-np.pi, np.pi, size)
+        return np.asarray(np.sum([a * np.cos(k * turn) for k, a in enumerate(_COSINES)], axis=0))
+    from scipy.signal import get_window
+
+    try:
+        return np.asarray(get_window(name, size, fftbins=False), dtype=np.float64)
+    except ValueError as error:
+        expected = "expected a name that scipy.signal.get_window knows"
+        raise InputError(f"window: {name!r}: {expected}") from error
 
 
 def noise_gain(name: str, sizes: tuple[int, ...]) -> float:

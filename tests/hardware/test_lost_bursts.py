@@ -90,6 +90,46 @@ def test_detect_goes_on_behind_it(without_first: Path) -> None:
     assert "1 of 3 bursts left out (0), the first since: burst 0, step 0" in done.stderr
 
 
+@pytest.fixture
+def cut_to_two() -> RadarRecord:
+    """Of three bursts the second is cut to two slots, on which a window that ends with 0 is 0."""
+    record = _record(3)
+    record.flags[1, :, 2:] = Flag.LOST
+    return record
+
+
+_NO_WEIGHT = "burst {}, step 0, slot 2: flagged as lost; the window '{}' has no weight on 2 slots"
+
+
+@pytest.mark.parametrize("window", ["hann", "bartlett", "blackman"])
+def test_detect_leaves_out_what_a_window_has_no_weight_on(
+    window: str, cut_to_two: RadarRecord, tmp_path: Path
+) -> None:
+    write_radar_record(cut_to_two, tmp_path / "r.h5")
+    done = ugv("detect", tmp_path / "r.h5", "--window", window)
+    assert not done.returncode, done.stderr
+    assert [f"r.h5: burst {k}: " in done.stdout for k in range(3)] == [True, False, True]
+    assert _NO_WEIGHT.format(1, window) in done.stderr
+    assert "RuntimeWarning" not in done.stderr
+
+
+def test_process_leaves_out_what_a_window_has_no_weight_on(
+    cut_to_two: RadarRecord, tmp_path: Path
+) -> None:
+    """A burst of a record, or the one burst of another."""
+    of_one = _record()
+    of_one.flags[0, :, 2:] = Flag.LOST
+    with Log(tmp_path / "drive.mcap") as log:
+        log.record("/radar/record", cut_to_two, host_ns=0)
+        log.record("/radar/record", of_one, host_ns=10**8)
+    done = ugv("process", tmp_path / "drive.mcap", "--window", "hann")
+    assert not done.returncode, done.stderr
+    assert [f"burst {k}: 1 detections" in done.stdout for k in range(3)] == [True, False, True]
+    for burst in (1, 0):
+        assert _NO_WEIGHT.format(burst, "hann") in done.stderr
+    assert "RuntimeWarning" not in done.stderr
+
+
 @pytest.mark.library("PIL")
 def test_the_picture_is_of_the_first_burst_of_which_there_is_one(without_first: Path) -> None:
     done = ugv("detect", without_first, "--png", without_first.with_name("map.png"))
