@@ -10,7 +10,15 @@ import typer
 
 from hardware.commands.output import Output, with_output
 from hardware.commands.quantities import quantity_of
-from hardware.commands.records import RadarSetup, Settings, is_log, records_of
+from hardware.commands.records import (
+    RadarSetup,
+    Settings,
+    fault_in_brackets,
+    is_log,
+    log_of,
+    records_of,
+    warn_of_damage,
+)
 from hardware.errors import InputError
 from hardware.formatting import with_error
 
@@ -69,15 +77,17 @@ def calibrate_radar(
     sensor.
     """
     from hardware.calibration import CalibrationTarget, RadarCalibration, write_calibration
+    from hardware.recording.reading import Ending
 
     _check_positive(distance=distance, cross_section=cross_section)
     target = CalibrationTarget(distance, cross_section)
-    incoming = records_of(source, None, radar_setup)
+    ending = Ending()
+    incoming = records_of(source, None, radar_setup, ending=ending)
     bursts = _bursts(say, source, incoming, None if is_log(source) else 1)
     try:
         result = RadarCalibration.of(bursts, target)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from error
+        raise InputError(f"{source}: {error}{fault_in_brackets(ending)}") from error
     for warning in result.warnings:
         say.warn(f"{source}: {warning}")
     write_calibration(result, out)
@@ -95,6 +105,7 @@ def calibrate_radar(
         two_way_gain_error_db=result.two_way_gain_error_db,
     )
     say.written(out)
+    warn_of_damage(say, {log_of(source): ending})
 
 
 def _bursts(

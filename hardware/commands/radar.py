@@ -8,7 +8,7 @@ import typer
 from hardware.commands.output import Output, result_file, with_output
 from hardware.commands.processing import MovingOnly, with_processing
 from hardware.commands.quantities import quantity_of
-from hardware.commands.records import calibration_of
+from hardware.commands.records import calibration_of, fault_in_brackets, warn_of_damage
 from hardware.errors import InputError
 from hardware.formatting import counted, si
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hardware.radar.settings import Processing
+    from hardware.recording.reading import Ending
     from hardware.records import RadarRecord
     from hardware.waveform import OfdmWaveform
 
@@ -211,6 +212,7 @@ def spectrogram(
     from hardware.radar import spectrogram_of_intervals
     from hardware.radar.output import write_png, write_spectrogram
     from hardware.radar.spectrogram import FALSE_ALARM
+    from hardware.recording.reading import Ending
 
     over_all = record.suffix == ".mcap" and burst is None
     if over_all and window_slots is not None:
@@ -219,7 +221,8 @@ def spectrogram(
         raise InputError("--receding: within one burst the range stays: expected a log, no --burst")
     wanted = None if over_all else burst or 0
     target = result_file(record, "-spectrogram.csv", out, png)
-    intervals = _intervals(say, record, wanted, moving_only)
+    ending = Ending()
+    intervals = _intervals(say, record, wanted, moving_only, ending)
     if over_all:
         seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
         which = f"{len(seen.time_s)} bursts in {si(float(seen.time_s[-1]), 's')}"
@@ -253,13 +256,14 @@ def spectrogram(
     if png:
         write_png(png, seen.power_w[::-1])
         say.written(png, " (time to the right, receding on top)")
+    warn_of_damage(say, {record: ending})
 
 
 def _intervals(
-    say: Output, path: Path, burst: int | None, moving_only: bool
+    say: Output, path: Path, burst: int | None, moving_only: bool, ending: "Ending"
 ) -> "Iterator[tuple[float, NDArray[np.complexfloating], OfdmWaveform]]":
     """Time of its middle, channel of the first antenna and waveform of a burst, or of all whole
-    ones (None).
+    ones (None); how a log ends is put into ``ending``.
     """
     from hardware.radar.burst import demodulate
     from hardware.radar.clutter import without_static
@@ -267,7 +271,7 @@ def _intervals(
     from hardware.radar.integrity import first_loss
 
     number, is_first = 0, True
-    for record in _radar_records(path):
+    for record in _radar_records(path, ending):
         for own in range(len(record.iq)):
             if burst is None and (loss := first_loss(record, own)):
                 say.warn(f"{path}: burst {number}: left out, it is not whole: {loss}")
@@ -283,20 +287,22 @@ def _intervals(
                 say.step(f"read burst {number} of {path}")
             number += 1
     if not number:
-        raise InputError(f"{path}: no record of a radar in it")
+        raise InputError(f"{path}: no record of a radar in it{fault_in_brackets(ending)}")
     if burst is not None and burst >= number:
-        raise InputError(f"{path}: --burst {burst}: it holds {number}, the first is 0")
+        raise InputError(
+            f"{path}: --burst {burst}: it holds {number}, the first is 0{fault_in_brackets(ending)}"
+        )
 
 
-def _radar_records(path: Path) -> "Iterator[RadarRecord]":
-    """Of a file, or of all of a log."""
+def _radar_records(path: Path, ending: "Ending") -> "Iterator[RadarRecord]":
+    """Of a file, or of all of a log, whose fault is put into ``ending``."""
     from hardware.recording import read_records
     from hardware.records import RadarRecord, read_radar_record
 
     if path.suffix != ".mcap":
         yield read_radar_record(path)
         return
-    for received in read_records(path):
+    for received in read_records(path, ending):
         if isinstance(received.record, RadarRecord):
             yield received.record
 

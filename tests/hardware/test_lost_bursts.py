@@ -74,6 +74,36 @@ def test_calibrate_numbers_records_as_the_log_does(tmp_path: Path) -> None:
     assert f"{path}: record 4: burst 0, step 0, slot 20: flagged as lost" in done.stderr
 
 
+_CALIBRATE = (
+    "calibrate",
+    "radar",
+    "--distance",
+    "9 m",
+    "--cross-section",
+    "1 m^2",
+)
+
+
+@pytest.mark.parametrize("command", [("spectrogram", "--at", "9 m"), _CALIBRATE, ("process",)])
+def test_a_damaged_log_is_told_alike(command: tuple[str, ...], tmp_path: Path) -> None:
+    """Two of three said nothing of it in the document and by the exit status."""
+    path = tmp_path / "drive.mcap"
+    with Log(path) as log:
+        for number in range(4):
+            record = _record()
+            times = record.device_time_ns + number * 10**8
+            log.record("/radar/record", replace(record, device_time_ns=times), host_ns=number)
+            log.flush()
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
+    path.write_bytes(content)
+    done = ugv(*command, path, "--out", tmp_path / "result", "--json")
+    assert done.returncode == 1, done.stderr
+    told = f"{path}: damaged: "
+    assert any(text.startswith(told) for text in json.loads(done.stdout)["warnings"])
+    assert f"warning: {told}" in done.stderr
+
+
 @pytest.fixture
 def without_first(tmp_path: Path) -> Path:
     """Of three bursts nothing is left of the first."""
