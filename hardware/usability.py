@@ -36,9 +36,10 @@ def _of_camera(record: SpiRecord) -> Usability:
 
 def _of_radar(record: RadarRecord) -> Usability:
     n_bursts, unusable = len(record.iq), unusable_bursts(record)
-    if n_bursts and len(unusable) == n_bursts:
+    silent = {burst: why for burst, why in unusable.items() if why == silence(record, burst)}
+    if n_bursts and len(unusable) == n_bursts and not silent:
         return Usability(unusable[0])
     left = [burst for burst in range(n_bursts) if burst not in unusable]
     whole = [usable_part(record, burst).whole for burst in left]
-    told = next(filter(None, (silence(record, burst) for burst in left)), "")
-    return Usability(whole=not unusable and all(whole), silence=told)
+    told = next(iter(silent.values()), "")
+    return Usability(whole=len(unusable) == len(silent) and all(whole), silence=told)

@@ -8,7 +8,7 @@ import typer
 from hardware.commands.output import Output, result_file, with_output
 from hardware.commands.processing import MovingOnly, with_processing
 from hardware.commands.quantities import quantity_of
-from hardware.commands.records import calibration_of, fault_in_brackets, warn_of_damage
+from hardware.commands.records import calibration_of, fault_in_brackets, naming, warn_of_damage
 from hardware.errors import InputError
 from hardware.formatting import counted, si
 
@@ -68,18 +68,19 @@ def detect(
     target = result_file(record, "-detections.csv", out, png)
     say.step(f"read {record}")
     shown = png
-    for frame in frames(loaded, how):
-        say.step(f"processed burst {frame.burst}")
-        _warn(say, record, frame.warnings)
-        detections = calibrated(frame, loaded, reference)
-        say.verdict(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
-        for line in table_rows(detections) if detections else ():
-            say.line(line)
-        if shown:
-            write_png(shown, frame.image.power_w)
-            say.written(shown, " (range downwards, rate to the right)")
-            shown = None
-        table += [(frame.burst, detection) for detection in detections]
+    with naming(record):
+        for frame in frames(loaded, how):
+            say.step(f"processed burst {frame.burst}")
+            _warn(say, record, frame.warnings)
+            detections = calibrated(frame, loaded, reference)
+            say.verdict(f"{record}: burst {frame.burst}: {len(detections)} detections{frame.by}")
+            for line in table_rows(detections) if detections else ():
+                say.line(line)
+            if shown:
+                write_png(shown, frame.image.power_w)
+                say.written(shown, " (range downwards, rate to the right)")
+                shown = None
+            table += [(frame.burst, detection) for detection in detections]
     say.add(
         record=record,
         detections=[{"burst": burst, **vars(detection)} for burst, detection in table],
@@ -127,15 +128,18 @@ def image(
     loaded = read_radar_record(record)
     target = result_file(record, "-image.csv", out, png)
     say.step(f"read {record}")
-    focused = focus(
-        loaded,
-        np.linspace(near, far, cells),
-        np.linspace(-width / 2, width / 2, cells),
-        wall=Wall(*wall) if wall else None,
-    )
+    with naming(record):
+        focused = focus(
+            loaded,
+            np.linspace(near, far, cells),
+            np.linspace(-width / 2, width / 2, cells),
+            wall=Wall(*wall) if wall else None,
+        )
     say.step("focused")
     _warn(say, record, focused.warnings)
     power = np.abs(focused.value) ** 2
+    if not power.any():
+        raise InputError(f"{record}: the image is all zero: expected bursts with signals")
     down, cross = np.unravel_index(np.argmax(power), power.shape)
     across_m = focused.cross_resolution_m
     across = f"{si(across_m, 'm')} cross-range (Eq. 6)" if np.isfinite(across_m) else "none across"
@@ -143,7 +147,7 @@ def image(
         f"{record}: {counted(focused.n_bursts, 'burst')}; resolution "
         f"{si(focused.down_resolution_m, 'm')} down-range (Eq. 7), {across}"
     )
-    peak_dbm = 10 * np.log10(1e3 * power.max()) if power.any() else -np.inf
+    peak_dbm = 10 * np.log10(1e3 * power.max())
     down_m, cross_m = focused.down_range_m[down], focused.cross_range_m[cross]
     place = f"at {down_m:.3f} m, {cross_m:+.3f} m to the left"
     if not focused.shows_directions:
@@ -223,13 +227,14 @@ def spectrogram(
     target = result_file(record, "-spectrogram.csv", out, png)
     ending = Ending()
     intervals = _intervals(say, record, wanted, moving_only, ending)
-    if over_all:
-        seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
-        which = f"{len(seen.time_s)} bursts in {si(float(seen.time_s[-1]), 's')}"
-    else:
-        _, channel, waveform = next(intervals)
-        seen = spectrogram_of(channel, waveform, at, window_slots, span_m=span)
-        which = f"burst {wanted}"
+    with naming(record):
+        if over_all:
+            seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
+            which = f"{len(seen.time_s)} bursts in {si(float(seen.time_s[-1]), 's')}"
+        else:
+            _, channel, waveform = next(intervals)
+            seen = spectrogram_of(channel, waveform, at, window_slots, span_m=span)
+            which = f"burst {wanted}"
     ridge = seen.ridge_m_per_s
     peak_dbm = 10 * np.log10(1e3 * seen.power_w.max()) if seen.power_w.any() else -np.inf
     heard = ridge[np.isfinite(ridge)]
@@ -268,14 +273,17 @@ def _intervals(
     from hardware.radar.burst import demodulate
     from hardware.radar.clutter import without_static
     from hardware.radar.detection_warnings import ranges_of_a_spectrogram
-    from hardware.radar.integrity import first_loss
+    from hardware.radar.integrity import unusable_bursts
 
     number, is_first = 0, True
     for record in _radar_records(path, ending):
+        unusable = unusable_bursts(record)
         for own in range(len(record.iq)):
-            if burst is None and (loss := first_loss(record, own)):
-                say.warn(f"{path}: burst {number}: left out, it is not whole: {loss}")
+            if burst is None and (why := _why_left_out(record, own, unusable)):
+                say.warn(f"{path}: burst {number}: left out{why}")
             elif burst in (None, number):
+                if own in unusable:
+                    raise InputError(unusable[own].replace(f"burst {own}", f"burst {number}", 1))
                 interval = demodulate(record, own)
                 _warn(say, path, interval.warnings)
                 if is_first:
@@ -286,12 +294,24 @@ def _intervals(
                 yield middle_s, channel[0], interval.waveform
                 say.step(f"read burst {number} of {path}")
             number += 1
+    if burst is None and number and is_first:
+        raise InputError(f"{path}: no whole burst of a radar in it{fault_in_brackets(ending)}")
     if not number:
         raise InputError(f"{path}: no record of a radar in it{fault_in_brackets(ending)}")
     if burst is not None and burst >= number:
         raise InputError(
             f"{path}: --burst {burst}: it holds {number}, the first is 0{fault_in_brackets(ending)}"
         )
+
+
+def _why_left_out(record: "RadarRecord", burst: int, unusable: dict[int, str]) -> str:
+    """Why a burst is not in a spectrogram over several; empty where it is."""
+    from hardware.radar.integrity import first_loss
+
+    if loss := first_loss(record, burst):
+        return f", it is not whole: {loss}"
+    why = unusable.get(burst, "").removeprefix(f"burst {burst}: ")
+    return f": {why}" if why else ""
 
 
 def _radar_records(path: Path, ending: "Ending") -> "Iterator[RadarRecord]":

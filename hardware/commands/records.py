@@ -1,12 +1,14 @@
 """Records that a command takes, from a log or from a sensor, and what it tells of a damaged log."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from hardware.commands.output import Output
+from hardware.errors import InputError
 
 if TYPE_CHECKING:
     import threading
@@ -91,6 +93,17 @@ def flag_counts(flags: object) -> dict[str, int]:
 
     counts = {str(f.name).lower(): int(np.count_nonzero(np.bitwise_and(flags, f))) for f in Flag}  # type: ignore[call-overload]
     return {name: n for name, n in counts.items() if n}
+
+
+@contextmanager
+def naming(source: str | Path) -> Iterator[None]:
+    """Name a file or log in an InputError that does not."""
+    try:
+        yield
+    except InputError as error:
+        if str(error).startswith(f"{source}: "):
+            raise
+        raise InputError(f"{source}: {error}") from error
 
 
 def fault_in_brackets(ending: "Ending") -> str:

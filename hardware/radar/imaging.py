@@ -16,7 +16,7 @@ from hardware.described import Described
 from hardware.errors import InputError
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.grating import told as grating_lobes_told
-from hardware.radar.integrity import first_loss, told_left_out
+from hardware.radar.integrity import first_loss, silence, told_left_out
 from hardware.records.container import Flag
 from hardware.records.state import QuaternionPose, positions, rotations
 from hardware.waveform import C_M_PER_S
@@ -230,6 +230,10 @@ def _whole_bursts(
         raise InputError(next(iter(left_out.values()), "iq: no burst in the record"))
     for other in (run for run in runs if run is not bursts):
         left_out |= {number: f"burst {number}: a reset is between it and most" for number in other}
+    silent = {number: told for number in bursts if (told := silence(record, number))}
+    if len(silent) < len(bursts):
+        bursts = {number: burst for number, burst in bursts.items() if number not in silent}
+        left_out |= silent
     warnings = [text for burst in bursts.values() for text in burst.warnings]
     if left_out:
         warnings.append(told_left_out(dict(sorted(left_out.items())), len(record.iq)))

@@ -86,8 +86,8 @@ def first_loss(record: "RadarRecord", burst: int) -> str:
 
 
 def unusable_bursts(record: "RadarRecord", window: str = "boxcar") -> dict[int, str]:
-    """Bursts of which a loss of data leaves too little to be processed with a window over slots,
-    and why.
+    """Bursts that hold nothing, or of which a loss of data leaves too little to be processed with a
+    window over slots, and why.
     """
     faults = {burst: _fault(record, burst, window) for burst in range(len(record.iq))}
     return {burst: fault for burst, fault in faults.items() if fault}
@@ -97,6 +97,8 @@ def _fault(record: "RadarRecord", burst: int, window: str) -> str:
     part = _intact_part(record, burst)
     if not part.is_enough:
         return _too_little(burst, part.loss)
+    if told := silence(record, burst):
+        return told
     senders = record.transmitter[part.slots]
     n_slots = len(senders) // len(np.unique(senders))
     if has_weight(window, n_slots):

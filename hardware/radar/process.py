@@ -248,14 +248,13 @@ def frames(
     *,
     waveform: OfdmWaveform | None = None,
 ) -> Iterator[Frame]:
-    """Results of all bursts of which a loss of data leaves enough for the window; the first warns
-    of the others.
+    """Results of all bursts but the `unusable_bursts`, of which the first warns.
 
-    Raises UnusableBurstError where that is none, and as `process`.
+    Raises UnusableBurstError where there is none, and as `process`.
     """
     n_bursts, unusable = len(record.iq), unusable_bursts(record, _settings(how).window)
-    if n_bursts and len(unusable) == n_bursts:
-        raise UnusableBurstError(unusable[0])
+    if len(unusable) == n_bursts:
+        raise UnusableBurstError(unusable.get(0, "iq: no burst in the record"))
     warnings = (told_left_out(unusable, n_bursts),) if unusable else ()
     for burst in (number for number in range(n_bursts) if number not in unusable):
         frame = process(record, burst, how, waveform=waveform)

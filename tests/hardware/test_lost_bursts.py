@@ -74,6 +74,7 @@ def test_calibrate_numbers_records_as_the_log_does(tmp_path: Path) -> None:
     assert f"{path}: record 4: burst 0, step 0, slot 20: flagged as lost" in done.stderr
 
 
+_SPECTROGRAM = ("spectrogram", "--at", "9 m")
 _CALIBRATE = (
     "calibrate",
     "radar",
@@ -84,7 +85,7 @@ _CALIBRATE = (
 )
 
 
-@pytest.mark.parametrize("command", [("spectrogram", "--at", "9 m"), _CALIBRATE, ("process",)])
+@pytest.mark.parametrize("command", [_SPECTROGRAM, _CALIBRATE, ("process",)])
 def test_a_damaged_log_is_told_alike(command: tuple[str, ...], tmp_path: Path) -> None:
     """Two of three said nothing of it in the document and by the exit status."""
     path = tmp_path / "drive.mcap"
@@ -102,6 +103,71 @@ def test_a_damaged_log_is_told_alike(command: tuple[str, ...], tmp_path: Path) -
     told = f"{path}: damaged: "
     assert any(text.startswith(told) for text in json.loads(done.stdout)["warnings"])
     assert f"warning: {told}" in done.stderr
+
+
+def _written(record: RadarRecord, folder: Path) -> tuple[Path, Path]:
+    """A record in a file of its own, and burst by burst in a log."""
+    file, path = folder / "r.h5", folder / "drive.mcap"
+    write_radar_record(record, file)
+    with Log(path) as log:
+        for burst in range(len(record.iq)):
+            one = slice(burst, burst + 1)
+            log.record(
+                "/radar/record",
+                replace(
+                    record,
+                    iq=record.iq[one],
+                    flags=record.flags[one],
+                    device_time_ns=record.device_time_ns[one],
+                    pose=record.pose[one],
+                ),
+                host_ns=burst * 10**8,
+            )
+    return file, path
+
+
+@pytest.mark.parametrize("command", [("detect",), ("image",), ("process",), _SPECTROGRAM])
+def test_a_record_of_zeros_alone_is_refused(command: tuple[str, ...], tmp_path: Path) -> None:
+    """It ended with 0 detections, or a peak of -inf dBm, as if it were a scene without echoes."""
+    record = _record(2)
+    file, log = _written(replace(record, iq=np.zeros_like(record.iq)), tmp_path)
+    source = log if command[0] in ("process", "spectrogram") else file
+    done = ugv(*command, source, "--out", tmp_path / "result")
+    assert done.returncode == 2
+    assert f"ugv: error: {source}: " in done.stderr
+    assert "all zero" in done.stderr
+    assert not (tmp_path / "result").exists()
+
+
+@pytest.mark.parametrize("command", [("detect",), ("image",), ("process",), _SPECTROGRAM])
+def test_a_burst_of_zeros_is_left_out(command: tuple[str, ...], tmp_path: Path) -> None:
+    record = _record(3)
+    record.iq[1] = 0
+    file, log = _written(record, tmp_path)
+    source = log if command[0] in ("process", "spectrogram") else file
+    done = ugv(*command, source, "--out", tmp_path / "result")
+    assert not done.returncode, done.stderr
+    assert "IQ is all zero" in done.stderr
+    assert "left out" in done.stderr or "not processed" in done.stderr
+    assert "-inf" not in done.stdout
+
+
+def test_a_spectrogram_of_a_burst_of_zeros_is_refused(tmp_path: Path) -> None:
+    record = _record(2)
+    record.iq[1] = 0
+    file, log = _written(record, tmp_path)
+    for source in (file, log):
+        done = ugv(*_SPECTROGRAM, source, "--burst", 1)
+        assert done.stderr == f"ugv: error: {source}: burst 1: IQ is all zero\n"
+
+
+def test_detect_refuses_a_record_without_a_burst(tmp_path: Path) -> None:
+    """It wrote a table without a row."""
+    record, none = _record(), slice(0, 0)
+    empty = {name: getattr(record, name)[none] for name in ("iq", "flags", "device_time_ns")}
+    write_radar_record(replace(record, pose=record.pose[none], **empty), tmp_path / "r.h5")
+    done = ugv("detect", tmp_path / "r.h5")
+    assert done.stderr == f"ugv: error: {tmp_path / 'r.h5'}: iq: no burst in the record\n"
 
 
 @pytest.fixture
