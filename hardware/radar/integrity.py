@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_index
-from hardware.radar.receivers import check_receivers, silent_slots
+from hardware.radar.receivers import fault_of_receivers, silent_slots
 from hardware.radar.windows import has_weight
 from hardware.records.container import Flag, unknown_flags
 from hardware.records.radar import RAIL
@@ -61,16 +61,14 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     What is beyond a lost slot is left out with it: in the gap's place the transforms would take
     zeros for echoes, which lowers levels and raises side lobes.
 
-    Raises UnusableBurstError where no part is long enough; InputError for receivers that hold
-    nothing of their own in it, see `check_receivers`, and for a burst that the record does not
-    have.
+    Raises UnusableBurstError where no part is long enough, and for receivers that hold nothing of
+    their own in it, see `fault_of_receivers`; InputError for a burst that the record does not have.
     """
     check_index("burst", burst, len(record.iq))
     part = _intact_part(record, burst)
     steps, slots = part.steps, part.slots
-    if not part.is_enough:
-        raise UnusableBurstError(_too_little(burst, part.loss))
-    check_receivers(burst, record.iq[burst, steps, slots], record.waveform)
+    if fault := _fault_of_part(record, burst, part):
+        raise UnusableBurstError(fault)
     warnings = _levels(record, burst)
     if part.loss:
         of = f"slots {slots.start} to {slots.stop - 1} of step {steps.start}"
@@ -80,14 +78,21 @@ def usable_part(record: "RadarRecord", burst: int = 0) -> UsablePart:
     return UsablePart(steps, slots, not part.loss, tuple(warnings))
 
 
+def _fault_of_part(record: "RadarRecord", burst: int, part: _Intact) -> str:
+    """Why the longest part without a loss cannot be processed; empty where it can."""
+    if not part.is_enough:
+        return f"burst {burst}, {part.loss}; too little is left without a loss"
+    return fault_of_receivers(burst, record.iq[burst, part.steps, part.slots], record.waveform)
+
+
 def first_loss(record: "RadarRecord", burst: int) -> str:
     """Step, slot and kind of a burst's first loss of data; empty where it is whole."""
     return _intact_part(record, burst).loss
 
 
 def unusable_bursts(record: "RadarRecord", window: str = "boxcar") -> dict[int, str]:
-    """Bursts that hold nothing, or of which a loss of data leaves too little to be processed with a
-    window over slots, and why.
+    """Bursts that hold nothing, or receivers without signals of their own, or of which a loss of
+    data leaves too little to be processed with a window over slots, and why.
     """
     faults = {burst: _fault(record, burst, window) for burst in range(len(record.iq))}
     return {burst: fault for burst, fault in faults.items() if fault}
@@ -95,10 +100,8 @@ def unusable_bursts(record: "RadarRecord", window: str = "boxcar") -> dict[int, 
 
 def _fault(record: "RadarRecord", burst: int, window: str) -> str:
     part = _intact_part(record, burst)
-    if not part.is_enough:
-        return _too_little(burst, part.loss)
-    if told := silence(record, burst):
-        return told
+    if fault := _fault_of_part(record, burst, part) or silence(record, burst):
+        return fault
     senders = record.transmitter[part.slots]
     n_slots = len(senders) // len(np.unique(senders))
     if has_weight(window, n_slots):
@@ -114,10 +117,6 @@ def told_left_out(why: Mapping[int, str], n_bursts: int) -> str:
         f"{len(why)} of {n_bursts} bursts left out ({numbers}), the first since: "
         f"{next(iter(why.values()))}"
     )
-
-
-def _too_little(burst: int, loss: str) -> str:
-    return f"burst {burst}, {loss}; too little is left without a loss"
 
 
 def _intact_part(record: "RadarRecord", burst: int) -> _Intact:

@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.errors import InputError
 from hardware.radar.demodulation import complex_samples, demodulate_samples
 from hardware.radar.range_doppler import complex_map, mean_power, noise_level
 from hardware.radar.windows import noise_gain
@@ -25,29 +24,30 @@ _WINDOW = "blackmanharris"
 _SOME = 2**16  # samples of a branch that are looked at
 
 
-def check_receivers(burst: int, iq: Counts, waveform: OfdmWaveform) -> None:
-    """Raise InputError for receivers whose samples are all 0 while another has signals, and for two
-    with the same samples, noise included.
+def fault_of_receivers(burst: int, iq: Counts, waveform: OfdmWaveform) -> str:
+    """That samples of a receiver are all 0 while another has signals, or that two have the same
+    samples, noise included; empty where neither is so.
 
     Without noise all receivers of an echo straight ahead have the same samples.
     """
     n_receivers = iq.shape[2]
     if n_receivers == 1 or iq.size < _FEWEST * n_receivers:
-        return
+        return ""
     silent = np.flatnonzero(~iq[0, 0].any(axis=(1, 2))).tolist()
     dead = [receiver for receiver in silent if not iq[:, :, receiver].any()]
     if dead and (loudest := branch_scatter(iq).max()) >= _HEARD:
-        raise InputError(
+        return (
             f"burst {burst}: receiver {', '.join(map(str, dead))}: all samples are 0, while others "
             f"have signals of {loudest:.2g} counts rms: dead, or not connected"
         )
     for one, other in _alike(iq):
         noise = noise_of_branch(iq[0, :, one], waveform)
         if noise >= LEAST_NOISE:
-            raise InputError(
+            return (
                 f"burst {burst}: receivers {one} and {other}: all samples are the same, their "
                 f"noise of {noise:.2g} counts rms included: one is a copy of the other"
             )
+    return ""
 
 
 def silent_slots(burst: int, iq: Counts) -> list[str]:

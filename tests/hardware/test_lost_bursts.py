@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from radar_cubes import WIDE, Echo, cube
+from radar_cubes import HALF, WIDE, Echo, cube
 from ugv_command import ugv
 
 from hardware.recording import Log
@@ -150,6 +150,23 @@ def test_a_burst_of_zeros_is_left_out(command: tuple[str, ...], tmp_path: Path) 
     assert "IQ is all zero" in done.stderr
     assert "left out" in done.stderr or "not processed" in done.stderr
     assert "-inf" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    "command", [("detect",), ("image",), ("process",), _SPECTROGRAM, _CALIBRATE]
+)
+def test_a_burst_with_a_dead_receiver_is_left_out(command: tuple[str, ...], tmp_path: Path) -> None:
+    """All but the image ended with it."""
+    pair_m = np.array([[0, 0, 0], [0, HALF, 0]])
+    pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (3, 1))
+    record = cube(WIDE, [Echo((9.0, 0, 0), 1.0)], noise_w=1.0, receivers_m=pair_m, pose=pose)
+    record.iq[1, :, :, 1] = 0
+    file, log = _written(record, tmp_path)
+    source = file if command[0] in ("detect", "image") else log
+    done = ugv(*command, source, "--out", tmp_path / "result")
+    assert not done.returncode, done.stderr
+    assert "receiver 1: all samples are 0, while others have signals of" in done.stderr
+    assert "left out" in done.stderr or "not processed" in done.stderr
 
 
 def test_a_spectrogram_of_a_burst_of_zeros_is_refused(tmp_path: Path) -> None:
