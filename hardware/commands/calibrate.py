@@ -13,9 +13,9 @@ from hardware.commands.quantities import quantity_of
 from hardware.commands.records import (
     RadarSetup,
     Settings,
-    fault_in_brackets,
     is_log,
     log_of,
+    naming,
     records_of,
     warn_of_damage,
 )
@@ -84,10 +84,8 @@ def calibrate_radar(
     ending = Ending()
     incoming = records_of(source, None, radar_setup, ending=ending)
     bursts = _bursts(say, source, incoming, None if is_log(source) else 1)
-    try:
+    with naming(source, ending):
         result = RadarCalibration.of(bursts, target)
-    except InputError as error:
-        raise InputError(f"{source}: {error}{fault_in_brackets(ending)}") from error
     for warning in result.warnings:
         say.warn(f"{source}: {warning}")
     write_calibration(result, out)

@@ -8,7 +8,7 @@ import typer
 from hardware.commands.output import Output, result_file, with_output
 from hardware.commands.processing import MovingOnly, with_processing
 from hardware.commands.quantities import quantity_of
-from hardware.commands.records import calibration_of, fault_in_brackets, naming, warn_of_damage
+from hardware.commands.records import calibration_of, naming, warn_of_damage
 from hardware.errors import InputError
 from hardware.formatting import counted, si
 
@@ -227,7 +227,7 @@ def spectrogram(
     target = result_file(record, "-spectrogram.csv", out, png)
     ending = Ending()
     intervals = _intervals(say, record, wanted, moving_only, ending)
-    with naming(record):
+    with naming(record, ending):
         if over_all:
             seen = spectrogram_of_intervals(intervals, at, range_rate_m_per_s=receding, span_m=span)
             which = f"{len(seen.time_s)} bursts in {si(float(seen.time_s[-1]), 's')}"
@@ -295,13 +295,11 @@ def _intervals(
                 say.step(f"read burst {number} of {path}")
             number += 1
     if burst is None and number and is_first:
-        raise InputError(f"{path}: no whole burst of a radar in it{fault_in_brackets(ending)}")
+        raise InputError("no whole burst of a radar in it")
     if not number:
-        raise InputError(f"{path}: no record of a radar in it{fault_in_brackets(ending)}")
+        raise InputError("no record of a radar in it")
     if burst is not None and burst >= number:
-        raise InputError(
-            f"{path}: --burst {burst}: it holds {number}, the first is 0{fault_in_brackets(ending)}"
-        )
+        raise InputError(f"--burst {burst}: it holds {number}, the first is 0")
 
 
 def _why_left_out(record: "RadarRecord", burst: int, unusable: dict[int, str]) -> str:

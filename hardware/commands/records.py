@@ -96,14 +96,15 @@ def flag_counts(flags: object) -> dict[str, int]:
 
 
 @contextmanager
-def naming(source: str | Path) -> Iterator[None]:
-    """Name a file or log in an InputError that does not."""
+def naming(source: str | Path, ending: "Ending | None" = None) -> Iterator[None]:
+    """Name a file or log in an InputError that does not, with what is wrong with the log."""
     try:
         yield
     except InputError as error:
         if str(error).startswith(f"{source}: "):
             raise
-        raise InputError(f"{source}: {error}") from error
+        fault = fault_in_brackets(ending) if ending else ""
+        raise InputError(f"{source}: {error}{fault}") from error
 
 
 def fault_in_brackets(ending: "Ending") -> str:

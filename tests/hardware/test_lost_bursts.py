@@ -178,6 +178,34 @@ def test_a_spectrogram_of_a_burst_of_zeros_is_refused(tmp_path: Path) -> None:
         assert done.stderr == f"ugv: error: {source}: burst 1: IQ is all zero\n"
 
 
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (("detect",), "burst 0, step 0, slot 0: flagged as lost"),
+        (("image",), "burst 0, step 0, slot 0: flagged as lost"),
+        (_SPECTROGRAM, "no whole burst of a radar in it"),
+        (_CALIBRATE, "no whole burst of a radar in it"),
+    ],
+)
+def test_errors_name_the_file_once(command: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    """Of a record of which everything is lost; that of a log was `spectrogram: no interval`."""
+    record = _record(2)
+    record.flags[:] = Flag.LOST
+    file, log = _written(record, tmp_path)
+    source = file if command[0] in ("detect", "image") else log
+    done = ugv(*command, source, "--out", tmp_path / "result")
+    assert f"\nugv: error: {source}: {told}" in f"\n{done.stderr}"
+
+
+def test_a_fault_of_reading_names_the_file_once(tmp_path: Path) -> None:
+    """`calibrate` put its name before the one that was there."""
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(b"no log")
+    done = ugv(*_CALIBRATE, path, "--out", tmp_path / "result")
+    assert done.returncode == 2
+    assert done.stderr.count(str(path)) == 1
+
+
 def test_detect_refuses_a_record_without_a_burst(tmp_path: Path) -> None:
     """It wrote a table without a row."""
     record, none = _record(), slice(0, 0)
