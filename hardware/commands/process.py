@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,6 +23,7 @@ from hardware.commands.records import (
     fault_in_brackets,
     is_log,
     log_of,
+    naming,
     records_of,
     warn_of_damage,
 )
@@ -132,7 +134,8 @@ def process(
         for received in itertools.islice(incoming, records or None):
             if over.is_set():
                 break
-            processed.add(received, partial(write_results, received, log))
+            with naming(source):
+                processed.add(received, partial(write_results, received, log))
         if over.is_set():
             say.line("stopped")
         if not processed.n:
@@ -160,34 +163,43 @@ class _Processed:
     say: Output
     n: int = 0
     n_failed: int = 0
-    results: list[dict[str, str]] = field(default_factory=list)
+    results: list[dict[str, str | int]] = field(default_factory=list)
     _start_ns: int | None = None
+    _of_topic: Counter[str] = field(default_factory=Counter)
 
     def add(self, received: "Received", write_results: "Callable[[], RecordSummary]") -> None:
-        """Process a record and print what came of it. Raises InputError where it is whole."""
+        """Process a record and print what came of it, with its number among those of its topic.
+
+        Raises InputError where it is whole.
+        """
         from hardware.radar.integrity import UnusableBurstError
 
         say, topic = self.say, received.topic
+        self._of_topic[topic] += 1
+        number = self._of_topic[topic]
+        name = f"{topic}, record {number}"
         try:
             summary = write_results()
         except InputError as error:
             if not (isinstance(error, UnusableBurstError) or received.record.flags.any()):
-                raise
+                raise InputError(f"{name}: {error}") from error
             # Too little of this record arrived; the next one may be whole.
             self.n_failed += 1
-            say.warn(f"{topic}: not processed: {error}")
+            say.warn(f"{name}: not processed: {error}")
             return
         self.n += 1
-        say.step(f"processed record {self.n}, of {topic}")
+        say.step(f"processed {name}")
         for warning in summary.warnings:
-            say.warn(f"{topic}: {warning}")
+            say.warn(f"{name}: {warning}")
         if self._start_ns is None:
             self._start_ns = received.host_ns
         after_s = (received.host_ns - self._start_ns) / 1e9
         for line in summary.lines:
-            say.verdict(f"{topic}, {after_s:.3f} s: {line}")
+            say.verdict(f"{name}, {after_s:.3f} s: {line}")
         if say.json:
-            self.results += [{"topic": topic, "result": line} for line in summary.lines]
+            self.results += [
+                {"topic": topic, "record": number, "result": line} for line in summary.lines
+            ]
 
 
 def _calibrations(

@@ -358,7 +358,7 @@ def test_processing_a_log_that_was_cut_says_how_to_finish_it(
     process = started("process", run, "-o", tmp_path / "images.mcap", "--method", "zero-fill")
     out, err = ended(process)
     assert process.returncode == 0
-    assert len(re.findall(r"/spi/record, \d+\.\d{3} s: image", out)) == 3
+    assert len(re.findall(r"/spi/record, record \d, \d+\.\d{3} s: image", out)) == 3
     assert err.count(f"`ugv recover {run}` finishes it") == 1
 
 

@@ -224,7 +224,7 @@ def test_the_command(tmp_path: Path) -> None:
         "0 tracks (needs 1 more burst)",
         "1 track",
     ]
-    assert "/spi/record, 0.000 s: 4 images" in done.stdout
+    assert "/spi/record, record 1, 0.000 s: 4 images" in done.stdout
     topics = [one.topic for one in read_messages(out)]
     assert (topics.count("/radar/tracks"), topics.count("/spi/image")) == (4, 4)
 

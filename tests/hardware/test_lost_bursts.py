@@ -38,7 +38,9 @@ def test_process_goes_on_behind_it(log: Path) -> None:
     done = ugv("process", log, "--json")
     assert not done.returncode, done.stderr
     assert json.loads(done.stdout)["records"] == 2
-    assert "/radar/record: not processed: burst 0, step 0, slot 1: after a gap" in done.stderr
+    assert "/radar/record, record 2: not processed: burst 0, step 0, slot 1: after" in done.stderr
+    assert "/radar/record, record 3, 0.200 s: burst 0: 1 detections" in done.stderr
+    assert [each["record"] for each in json.loads(done.stdout)["results"]] == [1, 3]
 
 
 def test_spectrogram_goes_on_behind_it(log: Path) -> None:
