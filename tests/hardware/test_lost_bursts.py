@@ -1,6 +1,7 @@
 """Commands go on behind a burst that a loss of data leaves nothing of, and tell of it."""
 
 import json
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,13 +129,20 @@ def _written(record: RadarRecord, folder: Path) -> tuple[Path, Path]:
     return file, path
 
 
+def _ran(
+    command: tuple[str, ...], record: RadarRecord, folder: Path
+) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """A command on a record, as a file or as a log of its bursts; and which that was."""
+    file, log = _written(record, folder)
+    source = file if command[0] in ("detect", "image") else log
+    return source, ugv(*command, source, "--out", folder / "result")
+
+
 @pytest.mark.parametrize("command", [("detect",), ("image",), ("process",), _SPECTROGRAM])
 def test_a_record_of_zeros_alone_is_refused(command: tuple[str, ...], tmp_path: Path) -> None:
     """It ended with 0 detections, or a peak of -inf dBm, as if it were a scene without echoes."""
     record = _record(2)
-    file, log = _written(replace(record, iq=np.zeros_like(record.iq)), tmp_path)
-    source = log if command[0] in ("process", "spectrogram") else file
-    done = ugv(*command, source, "--out", tmp_path / "result")
+    source, done = _ran(command, replace(record, iq=np.zeros_like(record.iq)), tmp_path)
     assert done.returncode == 2
     assert f"ugv: error: {source}: " in done.stderr
     assert "all zero" in done.stderr
@@ -145,9 +153,7 @@ def test_a_record_of_zeros_alone_is_refused(command: tuple[str, ...], tmp_path: 
 def test_a_burst_of_zeros_is_left_out(command: tuple[str, ...], tmp_path: Path) -> None:
     record = _record(3)
     record.iq[1] = 0
-    file, log = _written(record, tmp_path)
-    source = log if command[0] in ("process", "spectrogram") else file
-    done = ugv(*command, source, "--out", tmp_path / "result")
+    _, done = _ran(command, record, tmp_path)
     assert not done.returncode, done.stderr
     assert "IQ is all zero" in done.stderr
     assert "left out" in done.stderr or "not processed" in done.stderr
@@ -163,9 +169,7 @@ def test_a_burst_with_a_dead_receiver_is_left_out(command: tuple[str, ...], tmp_
     pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (3, 1))
     record = cube(WIDE, [Echo((9.0, 0, 0), 1.0)], noise_w=1.0, receivers_m=pair_m, pose=pose)
     record.iq[1, :, :, 1] = 0
-    file, log = _written(record, tmp_path)
-    source = file if command[0] in ("detect", "image") else log
-    done = ugv(*command, source, "--out", tmp_path / "result")
+    _, done = _ran(command, record, tmp_path)
     assert not done.returncode, done.stderr
     assert "receiver 1: all samples are 0, while others have signals of" in done.stderr
     assert "left out" in done.stderr or "not processed" in done.stderr
@@ -193,9 +197,7 @@ def test_errors_name_the_file_once(command: tuple[str, ...], told: str, tmp_path
     """Of a record of which everything is lost; that of a log was `spectrogram: no interval`."""
     record = _record(2)
     record.flags[:] = Flag.LOST
-    file, log = _written(record, tmp_path)
-    source = file if command[0] in ("detect", "image") else log
-    done = ugv(*command, source, "--out", tmp_path / "result")
+    source, done = _ran(command, record, tmp_path)
     assert f"\nugv: error: {source}: {told}" in f"\n{done.stderr}"
 
 

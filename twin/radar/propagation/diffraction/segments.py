@@ -266,7 +266,9 @@ class Segment:
         _, once = np.unique(np.stack([rest.point, rest.edge]), axis=1, return_index=True)
         towards = self.seen[rows].mean(axis=0) - self.source
         pairs = CornerPairs.of(Outline.together([rim, *far_rims]), towards)
-        corners, row = by_thick_corners(pairs, paths, self.source, self.seen, o.wavenumber)
+        corners, row = by_thick_corners(
+            pairs, paths, self.source, self.seen, o.wavenumber, o.faintest
+        )
         is_open[row] = False
         others = DiffractedPaths.concatenate([two.take(matters), rest.take(once), corners])
         return others, is_open

@@ -180,11 +180,16 @@ class ThickCorners:
 
 
 def by_thick_corners(
-    pairs: CornerPairs, paths: DiffractedPaths, source: Array, places: Array, wavenumber: float
+    pairs: CornerPairs,
+    paths: DiffractedPaths,
+    source: Array,
+    places: Array,
+    wavenumber: float,
+    faintest: float,
 ) -> tuple[DiffractedPaths, Indices]:
-    """Paths to points, at ``places`` (n, 3), by pairs of corners of an obstacle, and the rows of
-    those that they replace among ``paths`` over its edges and their ends: over ends there, and
-    over the edge between both corners.
+    """Paths to points, at ``places`` (n, 3), by pairs of corners of an obstacle, down to an
+    amplitude; and the rows of those that they replace among ``paths`` over its edges and their
+    ends: over ends there, and over the edge between both corners.
 
     Where the straight way passes one edge of two, and not the other, these remain.
     """
@@ -196,6 +201,8 @@ def by_thick_corners(
     near = cKDTree(at[ends]).query_ball_point(pairs.places, _SAME_M)
     for both, edges, met in zip(*pairs, near, strict=True):
         there = ends[np.sort(np.concatenate([*met]).astype(np.int64))]
+        if not len(there):
+            continue
         points, first = np.unique(paths.point[there], return_index=True)
         first = there[first]
         every = np.ones((len(points), 1))
@@ -207,9 +214,12 @@ def by_thick_corners(
             every[..., None] * edges,
         )
         some = np.flatnonzero(corners.is_plain & (corners.apart > ONE_EDGE))
-        if not len(some):
-            continue
+        edge = np.flatnonzero(_is_between(at, paths.along, both))
+        there = np.concatenate([there, edge])
+        rows.append(there[np.isin(paths.point[there], points[some])])
         amplitude, longer = corners.waves(some, corners.known[some])
+        strong = np.abs(amplitude) >= faintest
+        some, amplitude, longer = some[strong], amplitude[strong], longer[strong]
         one = paths.take(first[some])
         outwards = -edges.sum(axis=0) / np.linalg.norm(edges.sum(axis=0))
         found.append(
@@ -222,9 +232,6 @@ def by_thick_corners(
                 longer_m=longer / wavenumber,
             )
         )
-        edge = np.flatnonzero(_is_between(at, paths.along, both))
-        there = np.concatenate([there, edge])
-        rows.append(there[np.isin(paths.point[there], points[some])])
     return DiffractedPaths.concatenate(found), np.concatenate(rows)
 
 
