@@ -14,6 +14,7 @@ from scipy.constants import speed_of_light
 from twin.engine import mitsuba_of_radar
 from twin.geometry import shapes_of
 from twin.radar.device.design import RadarDesign
+from twin.radar.propagation.one_way.beside import most_beside_m
 from twin.radar.propagation.one_way.context import tracing_context, with_images
 from twin.radar.propagation.one_way.motion import PointMotion, RigidMotions, radar_motion
 from twin.radar.propagation.one_way.path import TracingContext
@@ -282,10 +283,10 @@ def _culled(
     share = shares(antennas, boxes, prepared.flats, beam)
     traced = worth_tracing(share, limit / 2)
     # Points cost next to nothing: they are left out only where there is no path to them.
-    places = np.array([t.position_m for t in points]).reshape(-1, 1, 3) - prepared.anchor_m
-    to_points = shares(
-        antennas, np.repeat(places, 2, axis=1), prepared.flats, beam, np.ones(len(points))
-    )
+    places = np.array([t.position_m for t in points]).reshape(-1, 3) - prepared.anchor_m
+    aside_m = most_beside_m(prepared.wavelength_m, antennas.place, places)[:, None]
+    round_points = np.stack([places - aside_m, places + aside_m], axis=1)
+    to_points = shares(antennas, round_points, prepared.flats, beam, np.ones(len(points)))
     is_used = np.asarray(np.hstack([traced.is_traced, to_points > 0]).any(axis=1))
     is_used[0] = True  # the radar itself
     worth = np.zeros((int(is_used.sum()), len(prepared.items)), dtype=bool)

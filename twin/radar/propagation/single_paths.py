@@ -4,7 +4,7 @@ The same paths as every other echo's, in float64; Sionna RT's image method is wh
 against.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,24 +25,19 @@ from twin.radar.propagation.diffraction.rims import (
     unsure_m,
 )
 from twin.radar.propagation.diffraction.screens import Screens
+from twin.radar.propagation.one_way.beside import beside
 from twin.radar.propagation.one_way.motion import PointMotion, lengthening, turning
 from twin.radar.propagation.one_way.path import TracingContext
-from twin.radar.propagation.one_way.points import between, paths_to_points
+from twin.radar.propagation.one_way.points import PointPaths, between, paths_to_points
 from twin.radar.propagation.prepared_scene import PreparedScene
 from twin.radar.propagation.scene.images import Image
-from twin.radar.rows import lengths, matching_pairs
+from twin.radar.rows import matching_pairs
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
 from twin.scene import Target
 from twin.transfer import host, vector
 
 Array = NDArray[np.float64]
-
-#: How far beside the way to an image it is looked for too: over one mirror, as a share of the way,
-#: far beyond float32's step there; in corners, of a Fresnel zone: beyond these steps 64 m from the
-#: anchor, where a way meets several mirrors at one place.
-_ASIDE, _ASIDE_IN_CORNERS = 1e-4, 0.05
-_OBLIQUE = np.array([0.36, 0.48, 0.8])  # parallel to no corner
 
 
 def mirror_echoes(
@@ -126,13 +121,11 @@ def _whole_mirrors(context: TracingContext) -> tuple[Contributions, Array]:
     of each that is met and clear.
     """
     count = context.n_sources - 1
-    here, source = np.array(context.place).ravel(), 1 + np.arange(count)
-    from_image = here - np.array(context.positions).reshape(-1, 3)[source]
-    in_corners = _ASIDE_IN_CORNERS * np.sqrt(float(context.wavelength[0]) / lengths(from_image))
-    beside = np.where(np.array(context.orders)[1:] == 1, _ASIDE, in_corners)
-    aside = beside[:, None] * np.cross(from_image, _OBLIQUE)
-    aside = np.multiply.outer([0, 1, -1], aside).reshape(-1, 3)
-    paths = paths_to_points(context, np.tile(source, 3), here + aside, np.zeros_like(aside))
+    source = 1 + np.arange(count)
+    here = np.tile(np.array(context.place).ravel(), (count, 1))
+    aside = beside(context, source, here)
+    places = np.concatenate([here, here + aside, here - aside])
+    paths = paths_to_points(context, np.tile(source, 3), places, np.zeros_like(places))
     clear = paths.clear.reshape(3, count)
     share = clear[1:].mean(axis=0)
     # Where the exact path is hidden its field is not traced through walls: one beside it is used.
@@ -178,6 +171,58 @@ class TwoWayPath:
     return_obstacle: int
 
 
+def _meet_edges(context: TracingContext, places: Array) -> NDArray[np.bool_]:
+    """Of ways to images over several mirrors whether they are clear where they are, but not on both
+    sides, or the reverse, (n_sources, n).
+    """
+    found = np.zeros((context.n_sources, len(places)), dtype=bool)
+    several = np.flatnonzero(np.array(context.orders) > 1)
+    source, point = (part.ravel() for part in np.meshgrid(several, np.arange(len(places))))
+    if not len(source):
+        return found
+    here = places[point]
+    aside = beside(context, source, here)
+    around = np.concatenate([here, here + aside, here - aside])
+    paths = paths_to_points(context, np.tile(source, 3), around, np.zeros_like(around))
+    clear = paths.clear.reshape(3, -1)
+    found[source, point] = clear.any(axis=0) & ~clear.all(axis=0)
+    return found
+
+
+def _beside_edges(
+    context: TracingContext, obstacles: Screens | None, source: int, places: Array
+) -> Iterator[tuple[PointPaths, NDArray[np.int64]]]:
+    """Paths to points (n, 3) over mirrors at an edge of theirs, as to one on either side of each,
+    half of each wave; and the numbers of the points.
+    """
+    aside = beside(context, np.full(len(places), source), places)
+    off = np.zeros_like(places)
+    length_m = paths_to_points(context, source, places, off, unshadowed=True).length
+    for side in (places + aside, places - aside):
+        half, at, _ = all_paths_to_points(context, obstacles, source, side, off)
+        yield replace(half, field=half.field / 2, length=length_m[at]), at
+
+
+def _to_points(
+    context: TracingContext, obstacles: Screens | None, places: Array
+) -> Iterator[tuple[PointPaths, NDArray[np.int64]]]:
+    """Paths from each image to points (n, 3), and the number of the point that each leads to.
+
+    A way that meets the edge which two of its mirrors share is at the border between both sequences
+    of these: the ways on both sides of it count half each.
+    """
+    meets_edge = _meet_edges(context, places)
+    for source in range(context.n_sources):
+        whole, edge = (np.flatnonzero(meets_edge[source] == is_met) for is_met in (False, True))
+        if len(whole):
+            off = np.zeros((len(whole), 3))
+            paths, at, _ = all_paths_to_points(context, obstacles, source, places[whole], off)
+            yield paths, whole[at]
+        if len(edge):
+            for paths, at in _beside_edges(context, obstacles, source, places[edge]):
+                yield paths, edge[at]
+
+
 def point_echoes(
     context: TracingContext,
     targets: Sequence[Target],
@@ -193,11 +238,8 @@ def point_echoes(
     velocity = np.array([m.velocity_m_per_s for m in motions]).reshape(-1, 3)
     acceleration = np.array([m.acceleration_m_per_s2 for m in motions]).reshape(-1, 3)
     strength = np.sqrt([t.rcs_m2 for t in targets]) / (4 * np.pi) ** 1.5
-    found = [
-        all_paths_to_points(context, obstacles, i, places, np.zeros_like(places))
-        for i in range(context.n_sources)
-    ]
-    paths = [(path, at) for path, at, _ in found if len(at)]  # most images see none of them
+    found = _to_points(context, obstacles, places)
+    paths = [(path, at) for path, at in found if len(at)]  # most images see none of them
     contributions: list[Contributions] = []
     two_way: list[TwoWayPath] = []
     for forward_path, forward_points in paths:
