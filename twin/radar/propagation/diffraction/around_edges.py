@@ -88,7 +88,7 @@ def all_paths_to_points(
         open_paths = list(segment.paths(unobstructed.clear, alone))
         if open_paths:
             paths = DiffractedPaths.concatenate(open_paths)
-            _clear_near_edges(clear, paths)
+            _clear_near_edges(clear, paths, segment)
             paths = merged(paths, segment.source, obstacles.wavenumber)
             paths = paths.take(np.abs(paths.amplitude) >= obstacles.faintest)
             point_paths.append(
@@ -103,11 +103,15 @@ def all_paths_to_points(
     )
 
 
-def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths) -> None:
-    """Direct paths so close to an edge that float32 rays may err are clear on its lit side only."""
+def _clear_near_edges(clear: NDArray[np.bool_], paths: DiffractedPaths, segment: Segment) -> None:
+    """Direct paths so close to an edge that float32 rays may err are clear on its lit side only, or
+    on either side of a thin obstacle between two edges.
+    """
     close = np.abs(paths.lit_m) <= unsure_m(paths.stops[:, 0])
     clear[paths.point[close]] = True
-    clear[paths.point[close & (paths.lit_m <= 0)]] = False
+    dark = np.flatnonzero(close & (paths.lit_m <= 0))
+    dark = dark[~segment.pass_thin(paths, dark, np.flatnonzero(close & (paths.lit_m > 0)))]
+    clear[paths.point[dark]] = False
 
 
 def _point_paths(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twin.radar.propagation.diffraction.blocking import NOTHING, blocker, folded
 from twin.radar.propagation.diffraction.mirror_borders import between_mirrors, on_plane
+from twin.radar.propagation.diffraction.past_thin import pass_thin
 from twin.radar.propagation.diffraction.rims import (
     DiffractedPaths,
     edge_paths,
@@ -128,6 +129,11 @@ class Segment:
         """Vertices of paths from the points to the radar, (m, n, 3); ``edges``: at (n, 2, 3)."""
         prepared = self.obstacles.prepared
         return folded(prepared, self.image, self.level, self.places[paths.point], edges)
+
+    def pass_thin(self, paths: DiffractedPaths, dark: Indices, lit: Indices) -> NDArray[np.bool_]:
+        """Whether ways in the dark of one edge, (n,), pass the obstacle beside another, lit one."""
+        o = self.obstacles
+        return pass_thin(o.items, o.prepared.anchor_m, self.source, self.seen, paths, dark, lit)
 
     def velocity(self, paths: DiffractedPaths) -> Array:
         """Of the edges, (n, 3), m/s."""
@@ -356,6 +362,10 @@ class Opening(Segment):
         before = (on_it + 2 * side * offset_m(on_it) * flat.normal).reshape(edges.shape)
         places = self.places[paths.point]
         return folded(o.prepared, self.image, self.level, places, before, at_mirror=True)
+
+    def pass_thin(self, paths: DiffractedPaths, dark: Indices, lit: Indices) -> NDArray[np.bool_]:
+        """None: an opening is no obstacle."""
+        return np.zeros(len(dark), dtype=bool)
 
     def velocity(self, paths: DiffractedPaths) -> Array:
         """None beside the image's, which moves as the mirror does."""
