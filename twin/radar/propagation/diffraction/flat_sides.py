@@ -61,6 +61,10 @@ class Side:
         """Whether the source sees the side."""
         return self.height_m > self.edge_on_m
 
+    def is_along(self, way: Array) -> bool:
+        """Whether a way (3,) leads along it, at grazing incidence."""
+        return bool(abs(self.normal @ way) < _GRAZING * np.linalg.norm(way))
+
     def over_m(self, places: Array) -> Array:
         """Heights over the side of places relative to the source."""
         over: Array = places @ self.normal + self.height_m

@@ -21,7 +21,7 @@ from scipy.special import erfc
 from twin.radar.propagation.diffraction.around_edges import all_paths_to_points, is_near_edges
 from twin.radar.propagation.diffraction.blocking import NOTHING, first_between
 from twin.radar.propagation.diffraction.mirror_borders import RIGHT, border, on_plane
-from twin.radar.propagation.diffraction.rims import DiffractedPaths, rim_paths
+from twin.radar.propagation.diffraction.rims import DiffractedPaths, beside_corners, rim_paths
 from twin.radar.propagation.diffraction.screens import Screens
 from twin.radar.propagation.diffraction.segments import Segment
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -98,7 +98,8 @@ def border_waves(prepared: PreparedScene, image: Image, faintest: float) -> Diff
     (number,) = image.patches
     here, wavenumber = image.places[0], 2 * np.pi / prepared.wavelength_m
     rim = border(prepared, number, image.place)
-    paths = rim_paths(rim, image.place, here[None], wavenumber, faintest)
+    places = beside_corners(rim, image.place, here[None], wavenumber)
+    paths = rim_paths(rim, image.place, places, wavenumber, faintest)
     flat = prepared.flats[number]
     inside, outside = (
         on_plane(flat, here, paths.stops[:, 0] + s * paths.aside[:, 0]) for s in (1, -1)

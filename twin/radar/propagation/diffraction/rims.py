@@ -95,6 +95,26 @@ def farthest(faintest: float) -> float:
     return 1 / (4 * np.pi * faintest**2)
 
 
+def beside_corners(rim: Outline, source: Array, places: Array, wavenumber: float) -> Array:
+    """Points (n, 3), of which those are moved whose direct path passes an edge's end exactly, as at
+    round coordinates: between the edges that meet there, since what waves a point has depends on
+    the side that the corner is approached from.
+    """
+    close = _pairs(rim, places - source, wavenumber, _EXACT_RAD)
+    to_ends = np.abs(np.stack([close.at, rim.lines.length_m[close.edge] - close.at], axis=1))
+    moved_m = _MOVED * np.sqrt(2 * np.pi / wavenumber * lengths(close.direct))
+    rows = np.flatnonzero(to_ends.min(axis=1, initial=np.inf) < moved_m)
+    points, first = np.unique(close.point[rows], return_index=True)
+    rows = rows[first]
+    edge, end = close.edge[rows], to_ends[rows].argmin(axis=1)
+    along = (1 - 2 * end)[:, None] * rim.lines.along[edge]
+    between = along + rim.onwards[edge, end]
+    between = np.where((lengths(between) > _STRAIGHT_ON)[:, None], between, along)
+    moved = places.copy()
+    moved[points] += (moved_m[rows] / lengths(between))[:, None] * between
+    return moved
+
+
 def rim_paths(
     rim: Outline, source: Array, places: Array, wavenumber: float, faintest: float
 ) -> DiffractedPaths:
@@ -182,38 +202,9 @@ def _pairs(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pair
     """Pairs of points, at the ends of vectors (n, 3) from the source, and edges, over which the
     path is longer by at most a phase ``most``.
     """
-    pairs = _pairs_to(rim, direct, wavenumber, most)
-    points, aside = _in_line_with_corners(pairs)
-    if not len(points):
-        return pairs
-    direct = direct.copy()
-    direct[points] += aside
-    return _pairs_to(rim, direct, wavenumber, most)
-
-
-def _pairs_to(rim: Outline, direct: Array, wavenumber: float, most: float) -> _Pairs:
     direct, ends, lit = (np.ascontiguousarray(x) for x in (direct, rim.ends, rim.lit))
     point, edge, at, q, lit_m = kernel(_near)(rim.lines, ends, lit, direct, wavenumber, most)
     return _Pairs(rim, direct, point, edge, at, q, lit_m, wavenumber)
-
-
-def _in_line_with_corners(pairs: _Pairs) -> tuple[Indices, Array]:
-    """Points whose direct path passes an edge's end exactly, as at round coordinates, and by how
-    far they are moved, (n, 3), between the edges that meet there: what waves these have depends on
-    the side that the corner is approached from.
-    """
-    rim, close = pairs.rim, np.flatnonzero(pairs.q < _EXACT_RAD)
-    edge, at = pairs.edge[close], pairs.at[close]
-    to_ends = np.abs(np.stack([at, rim.lines.length_m[edge] - at], axis=1))
-    moved_m = _MOVED * np.sqrt(2 * np.pi / pairs.wavenumber * lengths(pairs.direct[close]))
-    rows = np.flatnonzero(to_ends.min(axis=1, initial=np.inf) < moved_m)
-    points, first = np.unique(pairs.point[close[rows]], return_index=True)
-    rows = rows[first]
-    edge, end = edge[rows], to_ends[rows].argmin(axis=1)
-    along = (1 - 2 * end)[:, None] * rim.lines.along[edge]
-    between = along + rim.onwards[edge, end]
-    between = np.where((lengths(between) > _STRAIGHT_ON)[:, None], between, along)
-    return points, (moved_m[rows] / lengths(between))[:, None] * between
 
 
 def _near(
