@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.special import wofz
 
 from benchmarks.kirchhoff import echo_behind
@@ -314,6 +315,25 @@ def test_a_declared_target_has_the_waves_of_a_mirrors_border(border_m: float) ->
         for end_m in (FOOT_M + border_m, 1e3)
     )
     assert echoes[1] / echoes[0] == pytest.approx((cut / free) ** 2, abs=0.03)
+
+
+@pytest.mark.parametrize("thick_m", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("divided", [0, 1])
+@pytest.mark.parametrize("border_m", [-0.05, 0.0, 0.02, 0.1])
+def test_a_thick_wall_ends_as_a_thin_one(border_m: float, divided: int, thick_m: float) -> None:
+    """Its end, large enough for a mirror, had stood for a wall that goes on: there or missing."""
+    targets = (Target("post", PLACE, (0.0, 0.0, 0.0), 1.0, "test"),)
+    mesh = trimesh.creation.box(bounds=[[5, -3, -2], [5 + thick_m, FOOT_M + border_m, 2]])
+    for _ in range(divided):
+        mesh = mesh.subdivide()
+    corners = [[5, y, z] for y, z in ((-3, -2), (FOOT_M + border_m, -2))]
+    corners += [[5, y, z] for y, z in ((FOOT_M + border_m, 2), (-3, 2))]
+    echoes = []
+    for wall in (thing("wall", mesh.vertices, mesh.faces), quad("wall", corners)):
+        found = trace(world(wall, targets=targets), RADAR)
+        c = found.contributions
+        echoes.append(np.sum(c.amplitude * np.exp(-2j * np.pi * (79e9 * c.delay_s % 1))))
+    assert abs(echoes[0] - echoes[1]) < 1e-3 * abs(echoes[1])
 
 
 @pytest.mark.parametrize("border_m", [FOOT_M + 0.05, FOOT_M - 0.05])

@@ -71,6 +71,33 @@ def test_the_corner_itself_may_be_in_the_way(deep_m: float) -> None:
     assert abs(echo(corner_of_a_box(np.zeros(2), deep_m), at=point(), fidelity=LOW) - due) < 0.005
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 1e-9, -1e-8, 1e-5])
+@pytest.mark.parametrize("edge_m", [-0.05, -0.01, -0.001, 0.001, 0.01])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_one_side_may_be_exactly_in_line(axis: int, edge_m: float, aside_m: float) -> None:
+    """Radar and target in the plane of one of the corner's sides, past the other side or not: up to
+    three times the true echo, or none.
+    """
+    corner = np.full(2, aside_m)
+    corner[axis] = edge_m
+    due = field_behind(corner, 0.5) ** 2
+    got = echo(corner_of_a_box(corner, 0.5), at=point(), fidelity=LOW)
+    assert abs(got - due) < 0.01
+
+
+@pytest.mark.parametrize("high_m", [1.0, 3.0, 4.0, 8.0])
+def test_a_large_box_near_the_radar_has_corners_too(high_m: float) -> None:
+    """From 4 m on its front counted as a side along the way: its edge far aside is seen so."""
+    mesh = trimesh.creation.box(bounds=[[0.8, -high_m, -high_m], [1.4, -0.03, 0.04]])
+    box = thing("box", mesh.vertices, mesh.faces, radar="obstacle")
+    a, b, c = 0.8, 0.6, 8.6
+    heights = (-0.03, 0.04)
+    both = np.prod([beyond_both((h, h), a, b, c) for h in heights])
+    one, other = (np.prod([beyond(h, x, 10 - x) for h in heights]) for x in (a, a + b))
+    due = complex(1 - one - other + both).conjugate() ** 2
+    assert abs(echo(box, at=point(), fidelity=LOW) - due) < 0.02
+
+
 @pytest.mark.parametrize("deep_m", [0.1, 0.3, 1.0])
 @pytest.mark.parametrize("edge_m", [-0.02, 0.002, 0.02])
 def test_bodies_behind_corners_are_within_what_is_stated(edge_m: float, deep_m: float) -> None:

@@ -93,10 +93,8 @@ def mirrored_ways(
     hidden = np.zeros(len(levels.names))
     if not _are_followed(obstacles, fidelity) or len(prepared.images) == 1:
         return MirroredWays((), hidden)
-    sides = [side.item for side in obstacles.sides]
-    mirrors = [prepared.flats.object[list(image.patches)] for image in prepared.images]
-    is_few = [len(m) <= _MOST_REFLECTIONS and not np.isin(m, sides).any() for m in mirrors]
-    few = np.flatnonzero(is_few).tolist()
+    is_few = np.array([len(image.patches) <= _MOST_REFLECTIONS for image in prepared.images])
+    few = np.flatnonzero(is_few & ~_over_sides(prepared, obstacles)).tolist()
     changes = _changes_of_lit(prepared, radar, fidelity, levels, lit, obstacles, few)
     unlit: set[MirroredWay] = set()
     for body in range(len(levels.names)):
@@ -110,6 +108,15 @@ def mirrored_ways(
     for way in unlit.difference(worth[:_MOST_WAYS]):
         hidden[way[0]] = np.hypot(hidden[way[0]], changes[way])
     return MirroredWays(tuple(worth[:_MOST_WAYS]), hidden)
+
+
+def _over_sides(prepared: PreparedScene, obstacles: Screens) -> NDArray[np.bool_]:
+    """Which images, (n_images,), are in flat sides of obstacles along which the radar looks."""
+    flats, source = prepared.flats, prepared.images[0].place
+    is_side = np.zeros(len(flats), dtype=bool)
+    for side in obstacles.sides:
+        is_side |= (flats.object == side.item) & side.has_plane(flats.point - source, flats.normal)
+    return np.array([is_side[list(image.patches)].any() for image in prepared.images])
 
 
 def _changes_of_lit(
@@ -129,7 +136,7 @@ def _changes_of_lit(
     some, images = lit.take(np.flatnonzero(single)), images[:, single]
     parts = (
         _changed(prepared, fidelity, levels, some, obstacles),
-        _changed_by_borders(prepared, levels, some),
+        _changed_by_borders(prepared, levels, some, obstacles),
     )
     changes: dict[MirroredWay, float] = {}
     for one, other in np.unique(images, axis=1).T.tolist():
@@ -235,6 +242,7 @@ def mirror_borders(
     levels: BodyLevels,
     lit: Contributions,
     mirrored: MirroredWays,
+    obstacles: Screens | None,
 ) -> Decided:
     """What waves over the borders of mirrors may change of echoes over these on other than
     ``mirrored`` ways, which is left out.
@@ -244,7 +252,8 @@ def mirror_borders(
     if fidelity.radar_shadowed is not None or not is_left_out.any():
         return (), nothing
     began_s = perf_counter()
-    changed = _changed_by_borders(prepared, levels, lit.take(np.flatnonzero(is_left_out)))
+    some = lit.take(np.flatnonzero(is_left_out))
+    changed = _changed_by_borders(prepared, levels, some, obstacles)
     left_out = levels.rms_of(changed, radar) / levels.reference
     cost_s = perf_counter() - began_s
     return on_mirror_borders(levels.names, left_out, levels.permitted, cost_s), left_out
@@ -292,10 +301,17 @@ def _changed(
 
 
 def _changed_by_borders(
-    prepared: PreparedScene, levels: BodyLevels, some: Contributions
+    prepared: PreparedScene,
+    levels: BodyLevels,
+    some: Contributions,
+    obstacles: Screens | None,
 ) -> Contributions:
-    """What waves over the borders of mirrors may change of some echoes."""
+    """What waves over the borders of mirrors may change of some echoes, but for those of flat sides
+    of obstacles, which `side_echoes` holds.
+    """
     images = np.unique(np.concatenate([some.source, some.receiver]))
+    if obstacles is not None:
+        images = images[~_over_sides(prepared, obstacles)[images]]
     waves = border_levels(prepared, levels.of_object, len(levels.names), images)
     body = levels.of_object[some.object]
     changed = (1 + waves[body, some.source]) * (1 + waves[body, some.receiver]) - 1

@@ -136,7 +136,7 @@ def echoes(
         edges_beside(
             prepared, radar, fidelity, levels, lit, of_corners.bodies, mirrored, obstacles
         ),
-        mirror_borders(prepared, radar, fidelity, levels, lit, mirrored),
+        mirror_borders(prepared, radar, fidelity, levels, lit, mirrored, obstacles),
     ):
         decisions += decided
         left_out = np.hypot(left_out, missing)  # by other paths each, of phases of their own

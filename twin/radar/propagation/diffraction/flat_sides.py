@@ -19,7 +19,7 @@ from twin.geometry.edges import EdgeTable, connected
 from twin.radar.propagation.diffraction.knife_edge import double_knife_edge, knife_edge_factor
 from twin.radar.propagation.diffraction.two_edges import ONE_EDGE
 from twin.radar.propagation.meshes.silhouettes import Outline, edge_on_m
-from twin.radar.rows import dots, lengths, phasors
+from twin.radar.rows import dots, lengths, matching_pairs, phasors
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -29,6 +29,7 @@ Indices = NDArray[np.int64]
 _GRAZING = 0.2  # sine of the angle between the side and the wave, at most
 _SHARP = 0.9  # cosine of the angle between faces of an edge, at most
 _ACROSS = 0.7  # sine of the angle between an edge and the wave, at least
+_SAME = 1 - 1e-8  # cosine between edges, or faces, one of which goes on from the other, at least
 _FLAT_M = 3e-4  # by which corners of a side are off its plane
 
 
@@ -84,6 +85,11 @@ class Side:
         """Whether edges (n, 2, 3) relative to the source are in its plane."""
         return np.asarray((np.abs(self.over_m(ends)) < _FLAT_M).all(axis=1))
 
+    def has_plane(self, points: Array, normals: Array) -> Flags:
+        """Whether planes by points (n, 3), relative to the source, are its own."""
+        is_alike = np.abs(normals @ self.normal) > _SAME
+        return np.asarray(is_alike & (np.abs(self.over_m(points)) < _FLAT_M))
+
     def has_edge(self, ends: Array) -> Flags:
         """Whether edges (n, 2, 3) relative to the source are parts of the one it was found by."""
         off_m = np.linalg.norm(np.cross(ends - self.edge[0], self.along), axis=2)
@@ -102,21 +108,55 @@ def sides_of(
     faces = np.stack([table.half_edges[first], table.half_edges[first + 1]], axis=1) // 3
     normals = _unit_normals(points, table.faces[faces].astype(np.int64))  # (n, 2, 3)
     is_sharp = np.abs(dots(normals[:, 0], normals[:, 1])) < _SHARP
-    middle = outline.ends[rows].mean(axis=1)
-    edge_m = outline.ends[rows, 1] - outline.ends[rows, 0]
-    across_m = np.linalg.norm(np.cross(edge_m, middle), axis=1) / lengths(middle)
-    is_long = across_m > np.maximum(
-        np.sqrt(wavelength_m * lengths(middle)), _ACROSS * lengths(edge_m)
-    )
-    sine = np.abs(np.einsum("nfi,ni->nf", normals, middle)) / lengths(middle)[:, None]
+    rows, faces, normals = rows[is_sharp], faces[is_sharp], normals[is_sharp]
+    ends, one = _joined(outline.ends[rows], outline.corner[rows], normals)
+    rows, faces, normals = rows[one], faces[one], normals[one]
+    nearest = _nearest(ends)
+    distance_m = lengths(nearest)
+    edge_m = ends[:, 1] - ends[:, 0]
+    across_m = lengths(np.cross(edge_m, nearest)) / distance_m
+    is_long = across_m > np.maximum(np.sqrt(wavelength_m * distance_m), _ACROSS * lengths(edge_m))
+    sine = np.abs(np.einsum("nfi,ni->nf", normals, nearest)) / distance_m[:, None]
     found = []
-    for row, which in np.argwhere((is_sharp & is_long)[:, None] & (sine < _GRAZING)).tolist():
-        ends, lit = outline.ends[rows[row]], outline.lit[rows[row]]
-        face, normal = int(faces[row, which]), normals[row, which]
-        side = _side(points, table, face, normal * np.sign(normal @ lit), ends, item)
+    for row, which in np.argwhere(is_long[:, None] & (sine < _GRAZING)).tolist():
+        lit, face, normal = outline.lit[rows[row]], int(faces[row, which]), normals[row, which]
+        side = _side(points, table, face, normal * np.sign(normal @ lit), ends[row], item)
         if side is not None and _is_deep(side):
             found.append(side)
     return found
+
+
+def _joined(ends: Array, corner: Indices, normals: Array) -> tuple[Array, Indices]:
+    """Edges (n, 2, 3) between ``corner`` (n, 2) that go on from each other between the same planes
+    as one each, (m, 2, 3), and the first of each.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    along /= lengths(along)[:, None]
+    i, j = (rows // 2 for rows in matching_pairs(corner.ravel(), corner.ravel()))
+    alike = np.max(
+        [
+            np.einsum("nfi,nfi->nf", normals[i], other).min(axis=1)
+            for other in (normals[j], normals[j, ::-1])
+        ],
+        axis=0,
+    )
+    goes_on = (np.abs(dots(along[i], along[j])) > _SAME) & (alike > _SAME)
+    part = connected(np.stack([i, j], axis=1)[goes_on], len(ends))
+    one = np.unique(part, return_index=True)[1]
+    at = np.einsum("nei,ni->ne", ends - ends[one[part], :1], along[one[part]])
+    least, most = np.full(len(one), np.inf), np.full(len(one), -np.inf)
+    np.minimum.at(least, part, at.min(axis=1))
+    np.maximum.at(most, part, at.max(axis=1))
+    reach = np.stack([least, most], axis=1)[..., None] * along[one, None]
+    return ends[one, :1] + reach, one
+
+
+def _nearest(ends: Array) -> Array:
+    """The places of edges (n, 2, 3) that are nearest to the source, (n, 3)."""
+    along = ends[:, 1] - ends[:, 0]
+    share = -dots(ends[:, 0], along) / np.maximum(dots(along, along), 1e-300)
+    nearest: Array = ends[:, 0] + np.clip(share, 0, 1)[:, None] * along
+    return nearest
 
 
 def _unit_normals(points: Array, faces: Indices) -> Array:

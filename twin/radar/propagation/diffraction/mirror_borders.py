@@ -96,7 +96,7 @@ def is_past(prepared: PreparedScene, image: Image, places: Array) -> Flags:
 
 def free_border(prepared: PreparedScene, image: Image, level: int) -> Outline:
     """The border of one of an image's mirrors, as the others show it, without edges beside which
-    another goes on in its plane or at a right angle: there the waves of both cancel.
+    another goes on in its plane, or stands on it at a right angle: there the waves of both cancel.
     """
     flats, number, here = prepared.flats, image.patches[level], image.places[0]
     real = border(prepared, number, here)
@@ -113,8 +113,9 @@ def free_border(prepared: PreparedScene, image: Image, level: int) -> Outline:
         if other == number or RIGHT < cosine < _ONE_PLANE:
             continue
         height = (beside - flats.point[other]) @ flats.normal[other]
+        up = 0.0 if cosine >= _ONE_PLANE else np.sign((here - flats[number].point) @ normal)
         for row in np.flatnonzero(is_free & (np.abs(height) < 2 * _BESIDE_M)):
-            foot = beside[row] - height[row] * flats.normal[other]
+            foot = beside[row] - height[row] * flats.normal[other] + up * _BESIDE_M * normal
             is_free[row] = not flats.covers(other, foot)
     shown = border(prepared, number, image.place, image.patches[level + 1 :])
     return shown.take(np.flatnonzero(is_free))
