@@ -50,18 +50,18 @@ def replay(
 
 def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     """Print the contents of a log."""
-    from hardware.recording.reading import Ending, read_messages, unpack_record
+    from hardware.recording.reading import Ending, read_messages, with_records
     from hardware.records import SpiRecord
     from hardware.records.spi import exposures_between
 
     ending, counts, types = Ending(), Counter[str](), dict[str, str]()
     flags, devices, times = Counter[str](), set[str](), [math.inf, -math.inf]
     missing, last = Counter[str](), dict[str, SpiRecord]()
-    for logged in read_messages(path, ending):
+    for logged, received in with_records(read_messages(path, ending), ending):
         counts[logged.topic] += 1
         types[logged.topic] = logged.schema.name
         times = [min(times[0], logged.message.log_time), max(times[1], logged.message.log_time)]
-        if received := unpack_record(path, logged):
+        if received:
             record = received.record
             flags.update(flag_counts(record.flags))
             devices.add(record.device)

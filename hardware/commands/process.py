@@ -176,7 +176,7 @@ class _Processed:
 
         say, topic = self.say, received.topic
         self._of_topic[topic] += 1
-        number = self._of_topic[topic]
+        number = received.number or self._of_topic[topic]
         name = f"{topic}, record {number}"
         try:
             summary = write_results()

@@ -3,8 +3,9 @@
 import logging
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from io import BytesIO
 from pathlib import Path
@@ -27,6 +28,7 @@ from mcap.records import (
 from hardware.drivers.clock import ClockModel
 from hardware.errors import InputError
 from hardware.files import is_held
+from hardware.formatting import counted
 from hardware.recording.chunks import (
     MOST_CHUNK_BYTES,
     RefusedError,
@@ -38,6 +40,9 @@ from hardware.recording.heads import MAGIC, Head, Heads
 from hardware.recording.kinds import BY_NAME, KINDS, Record
 
 _log = logging.getLogger(__name__)
+
+#: Unreadable records that are named one by one.
+_MOST_NAMED = 10
 
 
 @dataclass(frozen=True)
@@ -56,12 +61,17 @@ Beside = Header | Metadata | Attachment
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A record with its topic, time of arrival (host clock), and the model of the device clock."""
+    """A record with its topic, time of arrival (host clock), and the model of the device clock.
+
+    ``number``: of a log, among the records of its topic, from 1 and with those that cannot be read;
+    0 of a sensor.
+    """
 
     topic: str
     record: Record
     host_ns: int
     clock: ClockModel | None
+    number: int = 0
 
 
 @dataclass
@@ -80,6 +90,8 @@ class Ending:
         Its writer still had it open when reading began, so that its end is none yet.
     finished
         It has its end, so that a fault is damage.
+    n_unreadable, unreadable
+        Records that are there, but broken: how many, and names of the first.
     """
 
     fault: str | None = None
@@ -87,18 +99,38 @@ class Ending:
     lost_messages: int = 0
     being_written: bool = False
     finished: bool = False
+    n_unreadable: int = 0
+    unreadable: list[str] = field(default_factory=list)
 
     @property
     def lost(self) -> str:
         """Amount of lost data, in words; empty where nothing is lost."""
-        if not self.lost_bytes and not self.lost_messages:
-            return ""
-        return f"lost: {self.lost_bytes} bytes, {self.lost_messages or 'unknown'} messages"
+        told = []
+        if self._has_gaps:
+            messages = self.lost_messages or "unknown"
+            told.append(f"lost: {self.lost_bytes} bytes, {messages} messages")
+        if self.n_unreadable:
+            names = "; ".join(self.unreadable) + "; ..." * (self.n_unreadable > _MOST_NAMED)
+            told.append(f"left out: {counted(self.n_unreadable, 'unreadable record')} ({names})")
+        return "; ".join(told)
+
+    @property
+    def _has_gaps(self) -> bool:
+        """Whether data are lost that recovery leaves out; unreadable records it copies."""
+        return bool(self.lost_bytes or self.lost_messages)
+
+    def leave_out(self, name: str, why: object) -> None:
+        """Count a record that cannot be read."""
+        self.fault = self.fault or f"{name}: {why}"
+        self.n_unreadable += 1
+        if self.n_unreadable <= _MOST_NAMED:
+            self.unreadable.append(name)
 
     def advice(self, path: str | Path) -> str:
         """Fault of the log at a path, and the command that recovers it."""
         if self.lost:
-            return f"damaged: {self.fault}; {self.lost}; `ugv recover {path}` keeps the rest"
+            told = f"damaged: {self.fault}; {self.lost}"
+            return f"{told}; `ugv recover {path}` keeps the rest" if self._has_gaps else told
         if self.finished:
             return f"damaged: {self.fault}; nothing is lost, `ugv recover {path}` writes it anew"
         if self.being_written:
@@ -397,30 +429,36 @@ def _describe(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-def unpack_record(path: str | Path, logged: LoggedMessage) -> Received | None:
-    """Record in a message of a log, None for a message of another kind.
-
-    Raises InputError for a broken one, naming the file.
+def with_records(
+    messages: Iterable[LoggedMessage], ending: Ending
+) -> Iterator[tuple[LoggedMessage, Received | None]]:
+    """Messages of a log and the record in each; None for one of another kind, and for a record that
+    cannot be read, which ``ending`` counts.
     """
-    kind = BY_NAME.get(logged.schema.name)
-    if kind is None:
-        return None
-    try:
-        record, clock = kind.unpack(logged.message.data)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: {logged.topic}: {error}") from error
-    return Received(logged.topic, record, logged.message.log_time, clock)
+    numbers = Counter[str]()
+    for logged in messages:
+        topic, received = logged.topic, None
+        if kind := BY_NAME.get(logged.schema.name):
+            numbers[topic] += 1
+            try:
+                record, clock = kind.unpack(logged.message.data)
+            except (TypeError, ValueError, OverflowError) as error:
+                ending.leave_out(f"{topic}, record {numbers[topic]}", error)
+            else:
+                at_ns = logged.message.log_time
+                received = Received(topic, record, at_ns, clock, numbers[topic])
+        yield logged, received
 
 
 def read_records(path: str | Path, ending: Ending | None = None) -> Iterator[Received]:
     """Records of a log, bit for bit as written.
 
     An unfinished or damaged log gives its intact records. Then ``ending`` has the fault; without it
-    a warning is logged. Raises as `read_messages`, and InputError for a broken message.
+    a warning is logged. Raises as `read_messages`.
     """
     tell, ending = ending is None, ending or Ending()
-    for message in read_messages(path, ending):
-        if received := unpack_record(path, message):
+    for _, received in with_records(read_messages(path, ending), ending):
+        if received:
             yield received
     if tell and ending.fault:
         _log.warning("%s: %s", path, ending.advice(path))
