@@ -79,24 +79,23 @@ class RadarCalibration(Warned):
 
     @classmethod
     def of(
-        cls, bursts: Iterable[tuple[RadarRecord, Frame | None]], target: CalibrationTarget
+        cls, bursts: Iterable[tuple[int, RadarRecord, Frame]], target: CalibrationTarget
     ) -> Self:
-        """From the strongest echo near the target in every whole burst: the mean.
+        """From the strongest echo near the target in every burst: the mean. ``bursts``: with the
+        number of the record, by which warnings name it, from 1.
 
-        Bursts that differ by more than their noise are warned of, and their scatter is the error
-        then: what moved them moves the next one as far. A record without a frame (None), of which
-        nothing could be processed, counts in the numbers by which warnings name records.
+        Of a burst that lost slots the part that was processed counts, each sample as much as one of
+        a whole burst. Bursts that differ by more than their noise are warned of, and their scatter
+        is the error then: what moved them moves the next one as far.
 
         Raises InputError for bursts of unlike radars, for saturated ones, which lack power, and
         where no burst has an echo near the target.
         """
         echoes, first = _Echoes(target), None
-        for record, frame in bursts:
+        for number, record, frame in bursts:
             first = first or record
             _check_alike(first, record)
-            echoes.count(record)
-            if frame:
-                echoes.add(record, frame)
+            echoes.add(number, record, frame)
         if first is None or not echoes.offset_m:
             raise InputError(echoes.none)
         offset_m, offset_error_m = echoes.combined(echoes.offset_m, "range offsets", "m")
@@ -167,38 +166,32 @@ class _Echoes:
     target: CalibrationTarget
     offset_m: list[tuple[float, float]] = field(default_factory=list)
     gain_db: list[tuple[float, float]] = field(default_factory=list)
+    n_samples: list[int] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    n_whole: int = 0
-    n_records: int = 0
-    _record: RadarRecord | None = None
+    is_empty: bool = True
+    is_whole: bool = True
 
     @property
     def none(self) -> str:
         """Why there is no calibration."""
-        if not self.n_whole:
-            return "; ".join(["no whole burst of a radar in it", *distinct(self.warnings)])
+        if self.is_empty:
+            return "no burst of a radar in it that can be used"
         away = quantity_text(self.target.distance_m, "m")
-        return f"detections: none within {_NEAR_M:g} m of the target at {away}"
+        told = f"detections: none within {_NEAR_M:g} m of the target at {away}"
+        return told if self.is_whole else "; ".join([told, *distinct(self.warnings)])
 
-    def count(self, record: RadarRecord) -> None:
-        """Number a record, unless it is that of the burst before."""
-        if record is not self._record:
-            self.n_records, self._record = self.n_records + 1, record
-
-    def add(self, record: RadarRecord, frame: Frame) -> None:
-        """A burst of the record counted last. Raises InputError for a saturated one."""
+    def add(self, number: int, record: RadarRecord, frame: Frame) -> None:
+        """A burst of the record of that number. Raises InputError for a saturated one."""
+        self.is_empty = False
+        self.is_whole &= frame.whole
         if told := saturation(record, frame.burst):
             raise InputError(
                 f"{told}: expected none in a calibration; take it anew with less gain, or a "
                 "smaller or more distant target"
             )
-        of_record = f"record {self.n_records}: " if self.n_records > 1 else ""
+        of_record = f"record {number}: " if number > 1 else ""
         burst = f"{of_record}burst {frame.burst}"
         self.warnings += [of_record + warning for warning in frame.warnings]
-        if not frame.whole:
-            self.warnings.append(f"{burst}: left out, it is not whole")
-            return
-        self.n_whole += 1
         away_m = self.target.distance_m
         near = [one for one in frame.detections if abs(one.range_m - away_m) < _NEAR_M]
         near.sort(key=lambda one: -one.power_w)
@@ -208,6 +201,7 @@ class _Echoes:
         if len(near) > 1:
             self.warnings.append(f"{burst}: {_several(near)}")
         self._measure(near[0], record, frame.waveform)
+        self.n_samples.append(frame.waveform.n_subcarriers * frame.waveform.n_slots)
 
     def _measure(self, best: Detection, record: RadarRecord, waveform: OfdmWaveform) -> None:
         away_m = self.target.distance_m
@@ -226,16 +220,20 @@ class _Echoes:
     def combined(
         self, measured: Sequence[tuple[float, float]], what: str, unit: str
     ) -> tuple[float, float]:
-        """Mean of a quantity over the bursts, and its standard error."""
+        """Mean of a quantity over the bursts, by the number of their samples, and its standard
+        error. Weights by errors would favour echoes that noise makes stronger.
+        """
         from scipy.special import chdtri
 
         values, errors = np.array(measured).T
         n = len(values)
-        mean, error = float(values.mean()), float(np.linalg.norm(errors) / n)
+        weights = np.array(self.n_samples) / sum(self.n_samples)
+        mean, error = float(weights @ values), float(np.linalg.norm(weights * errors))
         if n == 1:
             return mean, error
-        scatter = float(values.std(ddof=1))
-        if (n - 1) * scatter**2 <= chdtri(n - 1, _BY_CHANCE) * np.mean(errors**2):
+        certain = np.maximum(errors, np.finfo(float).tiny ** 0.5)
+        middle = np.average(values, weights=certain**-2)
+        if np.sum(((values - middle) / certain) ** 2) <= chdtri(n - 1, _BY_CHANCE):
             return mean, error
         ends = (quantity_text(float(end), unit) for end in (values.min(), values.max()))
         self.warnings.append(
@@ -243,7 +241,7 @@ class _Echoes:
             f"({quantity_text(float(np.sqrt(np.mean(errors**2))), unit, 2)}): target or radar "
             "changed; their scatter is taken for the error"
         )
-        return mean, scatter
+        return float(values.mean()), float(values.std(ddof=1))
 
 
 def _several(near: Sequence[Detection]) -> str:

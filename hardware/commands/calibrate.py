@@ -108,22 +108,24 @@ def calibrate_radar(
 
 def _bursts(
     say: Output, source: str, incoming: "Iterator[Received]", records: int | None
-) -> "Iterator[tuple[RadarRecord, Frame | None]]":
-    """What the bursts of so many radar records show, of all: None; no frame of a record that is
-    left out.
+) -> "Iterator[tuple[int, RadarRecord, Frame]]":
+    """Number of its record, record and what it shows of the bursts of so many radar records, of
+    all: None.
     """
     from hardware.radar.integrity import UnusableBurstError
     from hardware.radar.process import frames
     from hardware.records import RadarRecord
 
-    found = (each.record for each in incoming if isinstance(each.record, RadarRecord))
-    for number, record in enumerate(itertools.islice(found, records), 1):
+    found = (
+        (each.number, each.record) for each in incoming if isinstance(each.record, RadarRecord)
+    )
+    for count, (of_log, record) in enumerate(itertools.islice(found, records), 1):
+        number = of_log or count
         try:
             for frame in frames(record):
-                yield record, frame
+                yield number, record, frame
         except UnusableBurstError as error:
             say.warn(f"{source}: record {number}: left out: {error}")
-            yield record, None
 
 
 def _check_positive(**options: float) -> None:

@@ -13,11 +13,12 @@ from hardware.errors import InputError
 from hardware.formatting import counted, si
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from hardware.radar.burst import DemodulatedBurst
     from hardware.radar.settings import Processing
     from hardware.recording.reading import Ending
     from hardware.records import RadarRecord
@@ -267,49 +268,68 @@ def spectrogram(
 def _intervals(
     say: Output, path: Path, burst: int | None, moving_only: bool, ending: "Ending"
 ) -> "Iterator[tuple[float, NDArray[np.complexfloating], OfdmWaveform]]":
-    """Time of its middle, channel of the first antenna and waveform of a burst, or of all whole
-    ones (None); how a log ends is put into ``ending``.
+    """Time of its middle, channel of the first antenna and waveform of a burst, or of all (None):
+    then the waveform is that of a whole burst, of which a channel may hold fewer slots. How a log
+    ends is put into ``ending``. Bursts are numbered through all records, in warnings too.
     """
-    from hardware.radar.burst import demodulate
+    from dataclasses import replace
+
+    import numpy as np
+
     from hardware.radar.clutter import without_static
     from hardware.radar.detection_warnings import ranges_of_a_spectrogram
     from hardware.radar.integrity import unusable_bursts
 
-    number, is_first = 0, True
+    n_bursts, is_first = 0, True
     for record in _radar_records(path, ending):
-        unusable = unusable_bursts(record)
+        unusable = unusable_bursts(record, moving_only=moving_only)
         for own in range(len(record.iq)):
-            if burst is None and (why := _why_left_out(record, own, unusable)):
-                say.warn(f"{path}: burst {number}: left out{why}")
-            elif burst in (None, number):
-                if own in unusable:
-                    raise InputError(unusable[own].replace(f"burst {own}", f"burst {number}", 1))
-                interval = demodulate(record, own)
-                _warn(say, path, interval.warnings)
-                if is_first:
-                    _warn(say, path, tuple(ranges_of_a_spectrogram(interval)))
-                    is_first = False
-                channel = without_static(interval.channel) if moving_only else interval.channel
-                middle_s = 1e-9 * float(record.device_time_ns[own].mean())
-                yield middle_s, channel[0], interval.waveform
-                say.step(f"read burst {number} of {path}")
-            number += 1
-    if burst is None and number and is_first:
-        raise InputError("no whole burst of a radar in it")
-    if not number:
+            number, n_bursts = n_bursts, n_bursts + 1
+            if burst not in (None, number):
+                continue
+            interval, why = _interval(record, own, unusable, over_all=burst is None)
+            if interval is None and burst is not None:
+                raise InputError(_renumbered(why, own, number))
+            if interval is None:
+                say.warn(f"{path}: left out: {_renumbered(why, own, number)}")
+                continue
+            _warn(say, path, [_renumbered(told, own, number) for told in interval.warnings])
+            if is_first:
+                _warn(say, path, ranges_of_a_spectrogram(interval))
+                is_first = False
+            channel = without_static(interval.channel) if moving_only else interval.channel
+            waveform = interval.waveform
+            if burst is None:
+                n_transmitters = len(np.unique(record.transmitter))
+                waveform = replace(waveform, n_slots=record.waveform.n_slots // n_transmitters)
+            yield 1e-9 * interval.middle_ns, channel[0], waveform
+            say.step(f"read burst {number} of {path}")
+    if not n_bursts:
         raise InputError("no record of a radar in it")
-    if burst is not None and burst >= number:
-        raise InputError(f"--burst {burst}: it holds {number}, the first is 0")
+    if burst is None and is_first:
+        raise InputError("no burst of a radar in it that can be used")
+    if burst is not None and burst >= n_bursts:
+        raise InputError(f"--burst {burst}: it holds {n_bursts}, the first is 0")
 
 
-def _why_left_out(record: "RadarRecord", burst: int, unusable: dict[int, str]) -> str:
-    """Why a burst is not in a spectrogram over several; empty where it is."""
-    from hardware.radar.integrity import first_loss
+def _interval(
+    record: "RadarRecord", burst: int, unusable: dict[int, str], *, over_all: bool
+) -> "tuple[DemodulatedBurst | None, str]":
+    """A burst, or why there is none; ``over_all``: none that holds a part of the band alone."""
+    from hardware.radar.burst import demodulate
 
-    if loss := first_loss(record, burst):
-        return f", it is not whole: {loss}"
-    why = unusable.get(burst, "").removeprefix(f"burst {burst}: ")
-    return f": {why}" if why else ""
+    if burst in unusable:
+        return None, unusable[burst]
+    interval = demodulate(record, burst)
+    n_subcarriers = len(record.carriers_hz) * record.waveform.n_subcarriers
+    if over_all and interval.waveform.n_subcarriers < n_subcarriers:
+        return None, f"{interval.warnings[0]}, less than the band of others"
+    return interval, ""
+
+
+def _renumbered(text: str, own: int, number: int) -> str:
+    """What is told of a burst by its number within its record, by its number in a log."""
+    return text.replace(f"burst {own}", f"burst {number}", 1)
 
 
 def _radar_records(path: Path, ending: "Ending") -> "Iterator[RadarRecord]":
@@ -325,6 +345,6 @@ def _radar_records(path: Path, ending: "Ending") -> "Iterator[RadarRecord]":
             yield received.record
 
 
-def _warn(say: Output, record: Path, warnings: tuple[str, ...]) -> None:
+def _warn(say: Output, record: Path, warnings: "Iterable[str]") -> None:
     for warning in warnings:
         say.warn(f"{record}: {warning}")

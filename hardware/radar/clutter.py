@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from hardware.formatting import counted
 from hardware.radar.demodulation import Complex
 from hardware.waveform import OfdmWaveform
 
 _DEGREE = 4  # of the leakage's amplitude over the band
 _SMOOTH = 1e-9  # of its power, up to which what changes over the band is the leakage's own
+_LEAST_SLOTS = 3  # two leave their difference, which is the same at all rates but for its size
 
 
 def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) -> Complex:
@@ -29,6 +31,18 @@ def without_leakage(channel: Complex, waveform: OfdmWaveform, delay_s: float) ->
     return np.asarray(channel - leakage[..., None])
 
 
+def too_few_slots(n_slots: int) -> str:
+    """That so many slots of a transmitter tell no rate beside their mean; empty where they do."""
+    if n_slots >= _LEAST_SLOTS:
+        return ""
+    return (
+        f"{counted(n_slots, 'slot')} of a transmitter, expected {_LEAST_SLOTS} or more to tell "
+        "what moves from what is static (moving_only)"
+    )
+
+
 def without_static(channel: Complex) -> Complex:
-    """A channel minus its mean over slots: targets slower than half a rate cell are lost."""
+    """A channel minus its mean over slots: targets slower than half a rate cell are lost. Others
+    lose a part, see `hardware.radar.moving`.
+    """
     return np.asarray(channel - channel.mean(axis=-1, keepdims=True))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hardware.described import Described
 from hardware.errors import InputError
+from hardware.formatting import si
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.grating import told as grating_lobes_told
 from hardware.radar.integrity import first_loss, silence, told_left_out
@@ -90,8 +91,11 @@ def image(
     Parameters
     ----------
     record
-        Bursts at their poses, whose whole ones are used; where the radar was reset in between, the
-        most between two resets, whose phases belong together.
+        Bursts at their poses, of which one that lost slots counts by its longest part without a
+        loss; where the radar was reset in between, the most between two resets, whose phases belong
+        together, and of carrier steps the most of one band. Where the antenna had moved by more
+        than an eighth of a wavelength from its pose to the middle of such a part, the burst is left
+        out.
     down_range_m, cross_range_m
         Cells, ahead and to the left of the pose in the middle of the track.
     wall
@@ -101,13 +105,13 @@ def image(
     leakage
         Subtract the record's leakage, where its delay is known.
 
-    Raises InputError where no burst is whole, and for cells beyond what subcarriers can
+    Raises InputError where no burst can be used, and for cells beyond what subcarriers can
     tell, which show nearer echoes once more.
     """
-    whole, warnings = _whole_bursts(record, leakage)
-    bursts = list(whole.values())
+    used, warnings = _coherent_bursts(record, leakage)
+    bursts = list(used.values())
     cells, places, rotations_in_frame = _in_middle_frame(
-        [record.pose[number] for number in whole], down_range_m, cross_range_m
+        [record.pose[number] for number in used], down_range_m, cross_range_m
     )
     _check_range(cells, places, bursts[0].waveform.max_range_m)
     value = np.zeros((len(down_range_m), len(cross_range_m)), dtype=np.complex128)
@@ -210,26 +214,35 @@ def one_way_m(antenna_m: Array, cells_m: Array, wall: Wall | None) -> Array:
     return path
 
 
-def _whole_bursts(
+def _coherent_bursts(
     record: "RadarRecord", leakage: bool
 ) -> tuple[dict[int, DemodulatedBurst], tuple[str, ...]]:
-    """Whole bursts by their numbers, the most between two resets, and warnings."""
-    runs, left_out = [dict[int, DemodulatedBurst]()], dict[int, str]()
+    """Bursts by their numbers, the most of one band between two resets, and warnings."""
+    alike, left_out = dict[_Alike, dict[int, DemodulatedBurst]](), dict[int, str]()
+    n_resets = 0
     for number in range(len(record.iq)):
         if (record.flags[number] & Flag.RESET).any():
-            runs.append({})
-        if loss := first_loss(record, number):
-            left_out[number] = f"burst {number}, {loss}"
+            n_resets += 1
+            left_out[number] = f"burst {number}, {first_loss(record, number)}"
             continue
         try:
-            runs[-1][number] = demodulate(record, number, leakage=leakage)
+            burst = demodulate(record, number, leakage=leakage)
         except InputError as error:
             left_out[number] = str(error)
-    bursts = max(runs, key=len)
-    if not bursts:
+            continue
+        moved_m = 0.0 if burst.whole else _moved_m(record, number, burst.middle_ns)
+        if moved_m > burst.waveform.wavelength_m / 8:  # a quarter of it there and back
+            left_out[number] = f"{burst.warnings[0]}, {si(moved_m, 'm')} from its pose"
+            continue
+        wave = burst.waveform
+        alike.setdefault((wave.n_subcarriers, wave.carrier_hz, n_resets), {})[number] = burst
+    if not alike:
         raise InputError(next(iter(left_out.values()), "iq: no burst in the record"))
-    for other in (run for run in runs if run is not bursts):
-        left_out |= {number: f"burst {number}: a reset is between it and most" for number in other}
+    most = max(alike, key=lambda key: (len(alike[key]), key))
+    for key, others in alike.items():
+        if key != most:
+            left_out |= {number: _apart(record, number, key, most) for number in others}
+    bursts = alike[most]
     silent = {number: told for number in bursts if (told := silence(record, number))}
     if len(silent) < len(bursts):
         bursts = {number: burst for number, burst in bursts.items() if number not in silent}
@@ -238,6 +251,29 @@ def _whole_bursts(
     if left_out:
         warnings.append(told_left_out(dict(sorted(left_out.items())), len(record.iq)))
     return bursts, tuple(warnings)
+
+
+#: What bursts of one image share: subcarriers, carrier, and number of resets before them.
+_Alike = tuple[int, float, int]
+
+
+def _apart(record: "RadarRecord", number: int, own: _Alike, most: _Alike) -> str:
+    """Why a burst does not belong to most."""
+    if own[2] != most[2]:
+        return f"burst {number}: a reset is between it and most"
+    loss = first_loss(record, number)
+    return f"burst {number}{f', {loss}' if loss else ''}: its band is not that of most"
+
+
+def _moved_m(record: "RadarRecord", number: int, at_ns: int) -> float:
+    """How far a burst's antenna may be from its pose at a time, by the poses beside it."""
+    near = range(max(number - 1, 0), min(number + 2, len(record.pose)))
+    places_m = positions([record.pose[one] for one in near])
+    times_s = 1e-9 * np.array([record.middle_ns(one) for one in near])
+    ways_m = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    speeds_m_per_s = ways_m / np.maximum(np.abs(np.diff(times_s)), 1e-9)
+    away_s = 1e-9 * abs(at_ns - record.middle_ns(number))
+    return away_s * float(speeds_m_per_s.max(initial=0.0))
 
 
 def _in_middle_frame(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.errors import InputError, check_index
+from hardware.radar.clutter import too_few_slots
 from hardware.radar.receivers import fault_of_receivers, silent_slots
 from hardware.radar.windows import has_weight
 from hardware.records.container import Flag, unknown_flags
@@ -44,8 +45,8 @@ class UsablePart:
 
 @dataclass(frozen=True)
 class _Intact:
-    """The longest part without a loss, as in `UsablePart`; ``loss``: where the first loss is and of
-    what kind, empty where there is none; ``is_enough``: whether the part can be processed.
+    """The longest part without a loss, as in `UsablePart`; ``loss``: as of `first_loss`;
+    ``is_enough``: whether the part can be processed.
     """
 
     steps: slice
@@ -86,27 +87,33 @@ def _fault_of_part(record: "RadarRecord", burst: int, part: _Intact) -> str:
 
 
 def first_loss(record: "RadarRecord", burst: int) -> str:
-    """Step, slot and kind of a burst's first loss of data; empty where it is whole."""
+    """Step, slot and kind of a burst's first loss of data, and how many slots are lost; empty where
+    it is whole.
+    """
     return _intact_part(record, burst).loss
 
 
-def unusable_bursts(record: "RadarRecord", window: str = "boxcar") -> dict[int, str]:
+def unusable_bursts(
+    record: "RadarRecord", window: str = "boxcar", *, moving_only: bool = False
+) -> dict[int, str]:
     """Bursts that hold nothing, or receivers without signals of their own, or of which a loss of
-    data leaves too little to be processed with a window over slots, and why.
+    data leaves too little to be processed with a window over slots, or beside their mean, and why.
     """
-    faults = {burst: _fault(record, burst, window) for burst in range(len(record.iq))}
+    faults = {burst: _fault(record, burst, window, moving_only) for burst in range(len(record.iq))}
     return {burst: fault for burst, fault in faults.items() if fault}
 
 
-def _fault(record: "RadarRecord", burst: int, window: str) -> str:
+def _fault(record: "RadarRecord", burst: int, window: str, moving_only: bool) -> str:
     part = _intact_part(record, burst)
     if fault := _fault_of_part(record, burst, part) or silence(record, burst):
         return fault
     senders = record.transmitter[part.slots]
     n_slots = len(senders) // len(np.unique(senders))
-    if has_weight(window, n_slots):
+    what = too_few_slots(n_slots) if moving_only else ""
+    if not what and not has_weight(window, n_slots):
+        what = f"the window {window!r} has no weight on {n_slots} slots of a transmitter"
+    if not what:
         return ""
-    what = f"the window {window!r} has no weight on {n_slots} slots of a transmitter"
     return f"burst {burst}, {part.loss}; {what}" if part.loss else f"burst {burst}: {what}"
 
 
@@ -124,6 +131,8 @@ def _intact_part(record: "RadarRecord", burst: int) -> _Intact:
     late = _behind_gaps(record, burst)
     steps, slots = _longest_part(lost, late)
     loss = _first_loss(record, burst, lost | late) if (lost | late).any() else ""
+    if lost.any():
+        loss += f" ({np.count_nonzero(lost)} of {lost.size} slots lost)"
     is_enough = slots.stop - slots.start >= 2 * len(record.front_end.transmitters_m)
     return _Intact(steps, slots, loss, is_enough or not loss)
 

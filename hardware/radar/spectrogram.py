@@ -37,7 +37,7 @@ class Spectrogram:
     middle on, or from the first interval's. ``range_m`` is that at which it was taken, first.
     ``noise_w`` (n_times,): mean noise of a cell, by the median of the interval's range-Doppler map;
     ``n_ranges`` of which a cell has the strongest; ``noise_cells``: independent cells by which that
-    noise is known.
+    noise is known, one number or (n_times,).
     """
 
     power_w: Array
@@ -46,7 +46,7 @@ class Spectrogram:
     range_m: float
     noise_w: Array
     n_ranges: int = 1
-    noise_cells: float = np.inf
+    noise_cells: float | Array = np.inf
 
     @property
     def threshold_w(self) -> Array:
@@ -56,7 +56,7 @@ class Spectrogram:
         """
         fewest = np.log(self.power_w.size * self.n_ranges / FALSE_ALARM)
         over_mean = fewest
-        if np.isfinite(self.noise_cells):
+        if np.isfinite(self.noise_cells).all():
             over_mean = self.noise_cells * np.expm1(fewest / self.noise_cells)
         return np.asarray(over_mean * self.noise_w)
 
@@ -101,6 +101,20 @@ def spectrogram(
     Raises InputError for a window that does not fit in the interval, a range beyond what
     subcarriers can tell, a span that is no length, or a channel of another shape.
     """
+    slots = waveform.n_slots
+    length = max(2, slots // _PER_INTERVAL) if window_slots is None else window_slots
+    return _transformed(channel, waveform, range_m, length, span_m, _FINER * length)
+
+
+def _transformed(
+    channel: Complex,
+    waveform: OfdmWaveform,
+    range_m: float,
+    length: int,
+    span_m: float,
+    n_rates: int,
+) -> Spectrogram:
+    """`spectrogram` with windows of ``length`` slots, at so many rates."""
     from scipy.signal import ShortTimeFFT
 
     n, slots = waveform.n_subcarriers, waveform.n_slots
@@ -110,7 +124,6 @@ def spectrogram(
         raise InputError(
             f"spectrogram: range_m = {range_m:g}, expected 0 to {waveform.max_range_m:g}"
         )
-    length = max(2, slots // _PER_INTERVAL) if window_slots is None else window_slots
     if not 2 <= length <= slots:
         raise InputError(f"spectrogram: window_slots = {length}, expected 2 to {slots}")
     if not 0 <= span_m <= waveform.max_range_m:
@@ -127,11 +140,11 @@ def spectrogram(
         hop=1,
         fs=1 / waveform.slot_period_s,
         fft_mode="twosided",
-        mfft=_FINER * length,
+        mfft=n_rates,
     )
     first, last = length // 2, slots - (length - 1) // 2  # windows that lie within the interval
     strongest = np.max([abs(transform.stft(one, p0=first, p1=last)) for one in at_ranges], axis=0)
-    doppler_hz = np.fft.fftshift(np.fft.fftfreq(_FINER * length, waveform.slot_period_s))
+    doppler_hz = np.fft.fftshift(np.fft.fftfreq(n_rates, waveform.slot_period_s))
     rate = -doppler_hz * waveform.wavelength_m / 2
     power = (np.fft.fftshift(strongest, axes=0) / length) ** 2
     middle: Array = np.arange(first, last, dtype=np.float64) + (length - 1) / 2 - length // 2
@@ -174,7 +187,9 @@ def spectrogram_of_intervals(
     Parameters
     ----------
     intervals
-        Time of its middle, s, channel (n_subcarriers, n_slots) and waveform of each; in order.
+        Time of its middle, s, channel (n_subcarriers, n_slots) and waveform of each; in order. A
+        channel may hold fewer slots than the waveform, one after another, where others are lost:
+        its spectrum resolves rates the less.
     range_m, range_rate_m_per_s
         At the first interval, and by how much it recedes: where the body is that is looked at.
     span_m
@@ -194,13 +209,20 @@ def spectrogram_of_intervals(
             )
         times.append(time_s)
         at = range_m + range_rate_m_per_s * (time_s - times[0])
-        spectra.append(spectrogram(channel, waveform, at, waveform.n_slots, span_m=span_m))
+        own = replace(waveform, n_slots=min(np.shape(channel)[-1], waveform.n_slots))
+        n_rates = _FINER * waveform.n_slots
+        spectra.append(_transformed(channel, own, at, own.n_slots, span_m, n_rates))
     if not times:
         raise InputError("spectrogram: no interval")
     if any(later <= earlier for earlier, later in pairwise(times)):
         raise InputError("spectrogram: times of intervals do not ascend")
     power: Array = np.concatenate([seen.power_w for seen in spectra], axis=1)
     since_first: Array = np.array(times) - times[0]
-    noise: Array = np.concatenate([seen.noise_w for seen in spectra])
-    one = spectra[0]
-    return replace(one, power_w=power, time_s=since_first, range_m=range_m, noise_w=noise)
+    return replace(
+        spectra[0],
+        power_w=power,
+        time_s=since_first,
+        range_m=range_m,
+        noise_w=np.concatenate([seen.noise_w for seen in spectra]),
+        noise_cells=np.array([seen.noise_cells for seen in spectra]),
+    )

@@ -132,7 +132,8 @@ def burst(
 
 def calibration(*records: RadarRecord, distance_m: float = 10.0) -> RadarCalibration:
     """Against 5 m^2."""
-    bursts = ((record, frame) for record in records for frame in frames(record))
+    numbered = enumerate(records, 1)
+    bursts = ((number, record, frame) for number, record in numbered for frame in frames(record))
     return RadarCalibration.of(bursts, CalibrationTarget(distance_m, 5.0))
 
 

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,15 @@ from radar_cubes import HALF, WIDE, Echo, cube
 from ugv_command import ugv
 
 from hardware.recording import Log
+from hardware.recording.kinds import kind_of
 from hardware.records import Flag, RadarRecord, write_radar_record
 
 
-def _record(n_bursts: int = 1) -> RadarRecord:
+def _record(n_bursts: int = 1, rate_m_per_s: float = 2.0) -> RadarRecord:
     """A point at 9 m."""
     pose = np.tile([0, 0, 0, 1, 0, 0, 0.0], (n_bursts, 1))
-    return cube(WIDE, [Echo((9.0, 0, 0), 1e-9, (2.0, 0, 0))], noise_w=1e-14, pose=pose)
+    point = Echo((9.0, 0, 0), 1e-9, (rate_m_per_s, 0, 0))
+    return cube(WIDE, [point], noise_w=1e-14, pose=pose)
 
 
 @pytest.fixture
@@ -49,7 +52,7 @@ def test_spectrogram_goes_on_behind_it(log: Path) -> None:
     assert not done.returncode, done.stderr
     table = np.genfromtxt(log.with_name("drive-spectrogram.csv"), delimiter=",")
     np.testing.assert_allclose(table[0, 1:], [0.0, 0.2], atol=1e-6)
-    told = "burst 1: left out, it is not whole: step 0, slot 1: after a gap"
+    told = f"{log}: left out: burst 1, step 0, slot 1: after a gap; too little is left"
     assert done.stderr.count(told) == 1
 
 
@@ -78,14 +81,138 @@ def test_calibrate_numbers_records_as_the_log_does(tmp_path: Path) -> None:
 
 
 _SPECTROGRAM = ("spectrogram", "--at", "9 m")
-_CALIBRATE = (
-    "calibrate",
-    "radar",
-    "--distance",
-    "9 m",
-    "--cross-section",
-    "1 m^2",
+_CALIBRATE = ("calibrate", "radar", "--distance", "9 m", "--cross-section", "1 m^2")
+
+
+def _log_with_lost_slots(path: Path, lost: Sequence[Sequence[int]], rate: float = 2.0) -> None:
+    """A record for each list of lost slots, of one burst."""
+    with Log(path) as log:
+        for number, slots in enumerate(lost):
+            record = _record(rate_m_per_s=rate)
+            record.flags[0, 0, slots], record.iq[0, 0, slots] = Flag.LOST, 0
+            times = record.device_time_ns + number * 10**8
+            log.record("/radar/record", replace(record, device_time_ns=times), host_ns=number)
+
+
+@pytest.mark.parametrize("lost", [[[20]], [[20], [9, 40], [63]]])
+def test_calibrate_takes_what_is_left_of_bursts(lost: list[list[int]], tmp_path: Path) -> None:
+    """As from whole bursts, within 4 standard errors, and each loss is told; bursts that lost a
+    slot were left out, and without a whole one there was no calibration.
+    """
+    made = []
+    for name, slots in (("whole", [[]] * len(lost)), ("cut", lost)):
+        path = tmp_path / f"{name}.mcap"
+        _log_with_lost_slots(path, slots, rate=0.0)
+        done = ugv(*_CALIBRATE, path, "--out", tmp_path / "radar.h5", "--json")
+        assert not done.returncode, done.stderr
+        made.append(json.loads(done.stdout))
+    for quantity in ("range_offset", "two_way_gain"):
+        unit = "m" if quantity == "range_offset" else "db"
+        (whole, _), (cut, error) = (
+            [one[f"{quantity}_{unit}"], one[f"{quantity}_error_{unit}"]] for one in made
+        )
+        assert abs(cut - whole) < 4 * error
+    assert not made[0]["warnings"]
+    for record, slots in enumerate(lost, 1):
+        name = f"record {record}: " * (record > 1)
+        told = f"{name}burst 0, step 0, slot {slots[0]}: flagged as lost ({len(slots)} of 64 slots"
+        assert any(told in warning for warning in made[1]["warnings"])
+
+
+def test_calibrate_without_an_echo_tells_what_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    _log_with_lost_slots(path, [[20]])
+    there = (*_CALIBRATE[:3], "15 m", *_CALIBRATE[4:])
+    done = ugv(*there, path, "--out", tmp_path / "radar.h5")
+    assert done.returncode == 2
+    assert (
+        "none within 1 m of the target at 15 m; burst 0, step 0, slot 20: flagged as lost (1 of "
+        "64 slots lost); processed are slots 21 to 63 of step 0" in done.stderr
+    )
+
+
+def test_a_spectrogram_takes_what_is_left_of_bursts(tmp_path: Path) -> None:
+    """At the rates of whole bursts, and the time of the middle of what is left: 43 slots behind the
+    lost one end a burst as 64 do, so that it is 21 / 2 slots later.
+    """
+    path = tmp_path / "drive.mcap"
+    _log_with_lost_slots(path, [[20], [], [20]])
+    done = ugv(*_SPECTROGRAM, path)
+    assert not done.returncode, done.stderr
+    table = np.genfromtxt(path.with_name("drive-spectrogram.csv"), delimiter=",")
+    later_s = 10.5 * WIDE.slot_period_s
+    np.testing.assert_allclose(table[0, 1:], [0.0, 0.1 - later_s, 0.2], atol=1e-6)
+    assert len(table) == 1 + 4 * WIDE.n_slots
+    strongest = table[1:, 0][table[1:, 1:].argmax(axis=0)]
+    np.testing.assert_allclose(strongest, 2.0, atol=WIDE.velocity_cell_m_per_s / 4)
+    for burst in (0, 2):
+        told = f"{path}: burst {burst}, step 0, slot 20: flagged as lost (1 of 64 slots lost)"
+        assert done.stderr.count(told) == 1
+
+
+def test_a_spectrogram_numbers_bursts_as_the_user_does(tmp_path: Path) -> None:
+    """Warnings had the number within the record, 0, and ``--burst`` counts through the log."""
+    path = tmp_path / "drive.mcap"
+    _log_with_lost_slots(path, [[], [], [20]])
+    done = ugv(*_SPECTROGRAM, path, "--burst", 2)
+    assert not done.returncode, done.stderr
+    told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert told
+    assert all(line.startswith(f"warning: {path}: burst 2") for line in told)
+
+
+def _log_with_a_broken_message(path: Path) -> None:
+    """Of three records the second ends too early, in a whole chunk."""
+    kind = kind_of(_record())
+    with Log(path) as log:
+        for number in range(3):
+            record = _record()
+            times = record.device_time_ns + number * 10**8
+            record = replace(record, device_time_ns=times)
+            if number == 1:
+                cut = kind.pack(record, 1, "radar", None)[:-100]
+                log.message("/radar/record", kind.definition, cut, 1, 1)
+            else:
+                log.record("/radar/record", record, host_ns=number)
+
+
+@pytest.mark.parametrize(
+    "command", [_SPECTROGRAM, _CALIBRATE, ("process",), ("replay",), ("info",), ("export",)]
 )
+def test_a_message_that_cannot_be_read_is_left_out(
+    command: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Counted, named and told as other lost data; it ended each of them."""
+    path = tmp_path / "drive.mcap"
+    _log_with_a_broken_message(path)
+    out = () if command[0] in ("replay", "info") else ("--out", tmp_path / "result")
+    done = ugv(*command, path, *out, "--json")
+    assert done.returncode == 1, done.stderr
+    told = (
+        "damaged: /radar/record, record 2: message: ends after",
+        "too early; left out: 1 unreadable record (/radar/record, record 2)\n",
+    )
+    assert all(text in done.stderr for text in told)
+    assert "ugv recover" not in done.stderr
+    document = json.loads(done.stdout)
+    if command == ("process",):
+        assert [each["record"] for each in document["results"]] == [1, 3]
+    if command == ("replay",):
+        assert len(document["records"]) == 2
+
+
+def test_a_log_of_which_nothing_can_be_read_is_an_error(tmp_path: Path) -> None:
+    path, kind = tmp_path / "drive.mcap", kind_of(_record())
+    with Log(path) as log:
+        for number in range(12):
+            log.message("/radar/record", kind.definition, b"\0\1\0\0", number, number)
+    done = ugv("process", path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "no record in it (/radar/record, record 1: message: ends after 0 bytes" in done.stderr
+    told = ugv("info", path).stdout
+    assert "left out: 12 unreadable records (/radar/record, record 1; " in told
+    assert "record 10; ...)" in told
 
 
 @pytest.mark.parametrize("command", [_SPECTROGRAM, _CALIBRATE, ("process",)])
@@ -189,8 +316,8 @@ def test_a_spectrogram_of_a_burst_of_zeros_is_refused(tmp_path: Path) -> None:
     [
         (("detect",), "burst 0, step 0, slot 0: flagged as lost"),
         (("image",), "burst 0, step 0, slot 0: flagged as lost"),
-        (_SPECTROGRAM, "no whole burst of a radar in it"),
-        (_CALIBRATE, "no whole burst of a radar in it"),
+        (_SPECTROGRAM, "no burst of a radar in it that can be used"),
+        (_CALIBRATE, "no burst of a radar in it that can be used"),
     ],
 )
 def test_errors_name_the_file_once(command: tuple[str, ...], told: str, tmp_path: Path) -> None:
@@ -243,7 +370,10 @@ def cut_to_two() -> RadarRecord:
     return record
 
 
-_NO_WEIGHT = "burst {}, step 0, slot 2: flagged as lost; the window '{}' has no weight on 2 slots"
+_NO_WEIGHT = (
+    "burst {}, step 0, slot 2: flagged as lost (62 of 64 slots lost); the window '{}' has no "
+    "weight on 2 slots"
+)
 
 
 @pytest.mark.parametrize("window", ["hann", "bartlett", "blackman"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cubes import BAND, MIMO, C, Echo, cube, peaks, track, two_cylinders
+from radar_cubes import BAND, CARRIERS, MIMO, STEP, C, Echo, cube, peaks, track, two_cylinders
 from ugv_command import ugv
 
 from hardware.radar import OfdmWaveform
@@ -196,7 +196,7 @@ def test_cells_beyond_what_subcarriers_tell_are_refused() -> None:
         image(record, np.array([29.0, 30.01]), np.array([0.0]))
 
 
-def test_the_image_is_of_all_whole_bursts() -> None:
+def test_bursts_without_a_slot_are_left_out_of_the_image() -> None:
     """As of a record that never had the broken ones, at the end of the track and within it; the
     track's middle, from which cells count, stays where it is.
     """
@@ -216,11 +216,61 @@ def test_the_image_is_of_all_whole_bursts() -> None:
     assert found.warnings == (
         *expected.warnings,
         "3 of 33 bursts left out (0, 20, 32), the first since: burst 0, step 0, slot 0: flagged "
-        "as overrun",
+        "as overrun (1 of 1 slots lost); too little is left without a loss",
     )
     record.flags[:, 0, 0] = Flag.OVERRUN
     with pytest.raises(ValueError, match="burst 0, step 0, slot 0: flagged as overrun"):
         image(record, DOWN, CROSS)
+
+
+def test_what_is_left_of_a_burst_is_in_the_image() -> None:
+    """At rest in each burst, at places of a track: with the part behind a lost slot of one burst
+    the image is that of whole bursts to rounding.
+    """
+    wave = replace(BAND, n_slots=8, slot_period_s=1e-6)
+    record = cube(wave, [Echo((0.9, 0.0, 0.0))], pose=track(9, 0.24))
+    later = record.device_time_ns + 10**9 * np.arange(9)[:, None, None]  # between them it drives
+    record = replace(record, device_time_ns=later)
+    expected = image(record, DOWN, CROSS)
+    record.flags[4, 0, 2], record.iq[4, 0, 2] = Flag.LOST, 0
+    found = image(record, DOWN, CROSS)
+    assert found.n_bursts == 9
+    np.testing.assert_allclose(found.value, expected.value, atol=1e-3 * abs(expected.value).max())
+    told = "burst 4, step 0, slot 2: flagged as lost (1 of 8 slots lost); processed are slots 3"
+    assert found.warnings[0].startswith(told)
+
+
+def test_a_cut_burst_of_an_antenna_that_drives_on_is_left_out() -> None:
+    """12 m/s: from the middle of the burst to that of what is left, 5 slots of 1 ms, it is 60 mm,
+    half a wavelength; its pose is that of the middle.
+    """
+    wave = replace(BAND, n_slots=16, slot_period_s=1e-3)
+    record = cube(wave, [Echo((0.9, 0.0, 0.0))], pose=track(9, 9 * 0.204))
+    record.flags[4, 0, 9] = Flag.LOST
+    found = image(record, DOWN, CROSS)
+    assert found.n_bursts == 8
+    [told] = [warning for warning in found.warnings if "left out" in warning]
+    assert "(4), the first since: burst 4, step 0, slot 9: flagged as lost (1 of 16 slots" in told
+    assert told.endswith("mm from its pose")
+
+
+def test_bursts_of_another_band_are_not_joined() -> None:
+    """Carrier steps behind a lost slot: phases of the narrower band are relative to its middle. Of
+    a single burst the band that is left makes the image.
+    """
+    pose = track(3, 0.05)
+    record = cube(
+        STEP, [Echo((4.0, 0, 0))], carriers_hz=CARRIERS, leakage=(1e-7, 1.1e-9), pose=pose
+    )
+    record.flags[1, 20, 3] = Flag.OVERRUN
+    down_m = np.linspace(3.5, 4.5, 50)
+    found = image(record, down_m, CROSS)
+    assert found.n_bursts == 2
+    told = "burst 1, step 20, slot 3: flagged as overrun (1 of 400 slots lost): its band is not"
+    assert any(told in warning for warning in found.warnings)
+    record.flags[[0, 2]] = Flag.LOST
+    alone = image(record, down_m, CROSS)
+    assert alone.down_resolution_m == pytest.approx(found.down_resolution_m * 25 / 20)
 
 
 def test_phases_of_before_and_behind_a_reset_are_not_joined() -> None:

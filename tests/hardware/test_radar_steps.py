@@ -195,7 +195,10 @@ def test_a_gap_between_steps_leaves_a_narrower_band() -> None:
     record.flags[0, 20, 3] = Flag.OVERRUN
     frame = process(record, 0, Processing(window="hann", cfar=Cfar(1e-6, guard=(3, 0))))
     assert frame.waveform.bandwidth_hz == pytest.approx(400e6)
-    assert "step 20, slot 3: flagged as overrun; processed are steps 0 to 19" in (frame.warnings[0])
+    assert (
+        "step 20, slot 3: flagged as overrun (1 of 400 slots lost); processed are steps 0 to 19"
+        in (frame.warnings[0])
+    )
 
 
 def test_a_reference_delay_is_within_the_unambiguous_one() -> None:
