@@ -37,6 +37,16 @@ def untested_rates(waveform: OfdmWaveform, how: Processing) -> list[str]:
     ]
 
 
+def targets_of_two_slots(waveform: OfdmWaveform, how: Processing) -> list[str]:
+    """A warning that targets of one range are not split by their rates."""
+    if not how.resolve or waveform.n_slots != 2:
+        return []
+    return [
+        "range rate: 2 slots of a transmitter tell one in each range cell; where targets of "
+        "several are in it (resolve), it is that of none, which its error does not hold"
+    ]
+
+
 def coupled_ranges(interval: DemodulatedBurst, how: Processing) -> list[str]:
     """A warning of ranges that hold at one rate alone: others shift or smear them by a cell."""
     if not (why := _coupling(interval, how)):

@@ -26,12 +26,14 @@ class JointModel:
     """Block sums, and echoes at fixed places ``fixed`` (n, 2) that are fitted in amplitude alone.
 
     Blocks are weighted to equal noise, ``noise_w`` of a cell. Places are cells from the middle of
-    the blocks.
+    the blocks. ``beside_static``: the channel is one without its mean over slots, and so are the
+    echoes that are fitted.
     """
 
     blocks: Blocks
     fixed: Array
     noise_w: float
+    beside_static: bool = False
 
     @cached_property
     def weights(self) -> Array:
@@ -40,11 +42,16 @@ class JointModel:
         counts = np.outer(grid.count_f, grid.count_t)
         return np.asarray(np.sqrt(counts / counts.sum()))
 
+    @property
+    def at_rest(self) -> float:
+        """Cells of rate from the middle of the blocks to what does not move."""
+        return float(-self.blocks.delay_rate / self.blocks.grid.cell[1])
+
     @cached_property
     def sums(self) -> Complex:
         """Weighted sums (n_channels, n_blocks) without the fixed echoes."""
         flat = (self.blocks.sums / self.weights).reshape(len(self.blocks.sums), -1)
-        return _without(flat, self._known)
+        return self._beside_known(flat)
 
     def echoes(self, places: Array) -> tuple[Complex, Complex]:
         """Weighted sums (n, n_blocks) of echoes of unit amplitude, without the fixed echoes; and
@@ -52,7 +59,7 @@ class JointModel:
         """
         unit = self._unit(places)
         changes = (self._turns * unit[:, None]).reshape(-1, self.weights.size)
-        return _without(unit, self._known), _without(changes, self._known)
+        return self._beside_known(unit), self._beside_known(changes)
 
     def fit(self, places: Array) -> "JointFit":
         """The echoes at these places (n, 2), amplitudes fitted."""
@@ -97,9 +104,27 @@ class JointModel:
         by_rate = 2 * np.pi * grid.cell[1] * np.outer(grid.carrier_hz + grid.f_hz, grid.t_s)
         return np.asarray(-1j * np.stack([by_delay.ravel(), by_rate.ravel()]))
 
+    def _beside_known(self, rows: Complex) -> Complex:
+        """Rows (n, n_blocks) without what is static and the fixed echoes."""
+        return _without(self._moving(rows), self._known)
+
     @cached_property
     def _known(self) -> Complex:
-        return np.asarray(np.linalg.qr(self._unit(self.fixed).T)[0])
+        return np.asarray(np.linalg.qr(self._moving(self._unit(self.fixed)).T)[0])
+
+    def _moving(self, rows: Complex) -> Complex:
+        """Rows (n, n_blocks) without what is static, of any range profile, if that is asked for."""
+        if not self.beside_static:
+            return rows
+        by_f = rows.reshape(len(rows), *self.weights.shape)
+        along = np.einsum("nft,ft->nf", by_f, self._static.conj())
+        return np.asarray((by_f - along[..., None] * self._static).reshape(rows.shape))
+
+    @cached_property
+    def _static(self) -> Complex:
+        """What does not move, over the slots, of norm 1 for each block of subcarriers."""
+        still = self._unit(np.array([[0.0, self.at_rest]])).reshape(self.weights.shape)
+        return np.asarray(still / np.linalg.norm(still, axis=1, keepdims=True))
 
     def _unit(self, places: Array) -> Complex:
         return (unit_echoes(self.blocks, places) / self.weights).reshape(

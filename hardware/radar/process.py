@@ -15,7 +15,7 @@ from hardware.radar.angles import direction
 from hardware.radar.array_plane import ArrayPlane
 from hardware.radar.burst import DemodulatedBurst, demodulate
 from hardware.radar.cfar import with_fitted_shape
-from hardware.radar.clutter import without_static
+from hardware.radar.clutter import too_few_slots, without_static
 from hardware.radar.demodulation import Complex
 from hardware.radar.detection import Detection, detect_echoes, with_cross_section
 from hardware.radar.detection_warnings import (
@@ -28,6 +28,7 @@ from hardware.radar.detection_warnings import (
     of_the_map,
     scattered_phases,
     shifted_ranges,
+    targets_of_two_slots,
     too_many,
     untested_rates,
     without_directions,
@@ -36,6 +37,7 @@ from hardware.radar.integrity import UnusableBurstError, told_left_out, unusable
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
+from hardware.radar.moving import moving_echoes
 from hardware.radar.own_detection import detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
@@ -133,7 +135,11 @@ def process(
         reference_delay_s=how.reference_delay_s,
         range_rate_m_per_s=how.range_rate_m_per_s,
     )
-    channel = without_static(interval.channel) if how.moving_only else interval.channel
+    channel = interval.channel
+    if how.moving_only:
+        if told := too_few_slots(channel.shape[-1]):
+            raise UnusableBurstError(f"burst {burst}: {told}")
+        channel = without_static(channel)
     image = range_doppler(
         channel,
         interval.waveform,
@@ -212,6 +218,8 @@ def _detections(
     echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
     scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
+    if how.moving_only:  # the mean over slots took as much of the noise as one of them
+        noise_w *= channel.shape[-1] / (channel.shape[-1] - 1)
     fastest = 2 / C_M_PER_S * how.fastest_m_per_s
     echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
     warnings = [
@@ -220,10 +228,23 @@ def _detections(
         *scattered,
     ]
     if echoes:
-        warnings += [*untested_rates(interval.waveform, how), *coupled_ranges(interval, how)]
+        warnings += [
+            *untested_rates(interval.waveform, how),
+            *targets_of_two_slots(interval.waveform, how),
+            *coupled_ranges(interval, how),
+        ]
     echoes = echoes[: how.at_most]
+    if how.moving_only:
+        echoes = moving_echoes(echoes, channel, interval.waveform, noise_w)
     if how.resolve:
-        echoes = split_targets(echoes, channel, interval.waveform, noise_w, how.cfar.false_alarm)
+        echoes = split_targets(
+            echoes,
+            channel,
+            interval.waveform,
+            noise_w,
+            how.cfar.false_alarm,
+            beside_static=how.moving_only,
+        )
     echoes = with_spread_of_others(echoes, interval, variance)
     plane = ArrayPlane.of(interval)
     cells = [_points(echo, interval, plane, how.per_cell, variance) for echo in echoes]
@@ -252,7 +273,8 @@ def frames(
 
     Raises UnusableBurstError where there is none, and as `process`.
     """
-    n_bursts, unusable = len(record.iq), unusable_bursts(record, _settings(how).window)
+    settings, n_bursts = _settings(how), len(record.iq)
+    unusable = unusable_bursts(record, settings.window, moving_only=settings.moving_only)
     if len(unusable) == n_bursts:
         raise UnusableBurstError(unusable.get(0, "iq: no burst in the record"))
     warnings = (told_left_out(unusable, n_bursts),) if unusable else ()

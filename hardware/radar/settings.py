@@ -30,7 +30,8 @@ class Processing:
     leakage
         Subtract the record's leakage, where its delay is known.
     moving_only
-        Subtract all static echoes.
+        Subtract all static echoes, of bursts with 3 or more slots of a transmitter. What moves is
+        measured beside them, see `hardware.radar.moving`.
     resolve
         Split detections into targets nearer than a cell, see `resolve`.
     per_cell

@@ -41,6 +41,7 @@ _BESIDE, _MOST_BESIDE = 8.0, 4  # cells, and number, of other echoes that are fi
 _LINKED = 12.0  # cells between echoes that are split together: two reaches, and their side lobes
 _FAR, _MOST_TOGETHER = 16.0, 8  # cells from the first, and number, of echoes split together
 _NONE = np.zeros((0, 2))
+_FEW, _SLOW = 8, (-0.3, 0.3)  # slots, and cells of rate
 _ROUNDS = 2  # in which groups are split, since one may hide targets whose side lobes reach others
 
 
@@ -50,12 +51,14 @@ def split_targets(
     waveform: OfdmWaveform,
     noise_w: float,
     false_alarm: float,
+    *,
+    beside_static: bool = False,
 ) -> list[EchoMeasurement]:
     """Echoes of the targets that each consists of, with its alternative rates.
 
     Echoes near each other are split together: each may hide targets that the others' side lobes
     contain. An echo stays as it is where no target is found near it: without a window, what a
-    strong body has beside points hides weak echoes around it.
+    strong body has beside points hides weak echoes around it. ``beside_static``: see `JointModel`.
     """
     groups = _groups(echoes, waveform)
     parts = [list(group) for group in groups]
@@ -75,6 +78,7 @@ def split_targets(
             false_alarm=false_alarm,
             together=groups[i][1:],
             others=others,
+            beside_static=beside_static,
         )
     found = [part for some in parts for part in some]
     found += _without_parts(echoes, found, waveform)
@@ -100,6 +104,7 @@ def resolve(
     at_most: int = 4,
     together: Sequence[EchoMeasurement] = (),
     others: Sequence[EchoMeasurement] = (),
+    beside_static: bool = False,
 ) -> list[EchoMeasurement]:
     """Split an echo into those of the targets that it consists of, nearest first.
 
@@ -115,7 +120,8 @@ def resolve(
         Probability of a false target per cell searched.
     reach
         Cells searched to each side in delay and in rate, of the echo and of each target that is
-        found: the main lobe of a window.
+        found: the main lobe of a window. No more than half of those that can be told apart, beyond
+        which the same target is found again.
     at_most
         Largest number of targets for each echo that is split.
     together
@@ -123,6 +129,8 @@ def resolve(
     others
         Echoes elsewhere, whose side lobes are fitted as well; of the nearest ones also the places,
         which were measured in the side lobes of this echo.
+    beside_static
+        The channel is one without its mean over slots, see `JointModel`.
 
     Standard errors are those of the joint fit, in the noise that it leaves around each target.
 
@@ -141,15 +149,16 @@ def resolve(
     )
     split = [echo, *together]
     middle = np.array([blocks.delay_s, blocks.delay_rate])
-    middles = _steps_of(split, middle, blocks.grid.cell)
-    beside, fixed = _nearest(_steps_of(others, middle, blocks.grid.cell))
+    middles = steps_of(split, middle, blocks.grid.cell)
+    beside, fixed = _nearest(steps_of(others, middle, blocks.grid.cell))
     least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
-    model = JointModel(blocks, fixed, noise_w)
-    search = _Search(model, windowed, middles, beside, reach, least_w)
+    model = JointModel(blocks, fixed, noise_w, beside_static)
+    reaches = np.minimum(reach, np.array([waveform.n_subcarriers, waveform.n_slots]) / 2)
+    search = _Search(model, windowed, middles, beside, reaches, least_w)
     fit = search.without_needless(search.targets(at_most * len(split)))
     parts = []
     for i in range(len(search.targets_of(fit))):
-        part = _measurement(search.model, fit, i, waveform, noise_w)
+        part = fitted_echo(search.model, fit, i, waveform, noise_w)
         nearest = split[int(np.argmin(np.abs(middles - fit.places[i]).max(axis=1)))]
         parts.append(
             replace(
@@ -167,35 +176,58 @@ class _Search:
     the model with a window.
 
     ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
-    the middles and around targets that are found; ``least_w``: mean power over channels of a target
-    that is not noise.
+    the middles and around targets that are found, of delay and of rate (2,); ``least_w``: mean
+    power over channels of a target that is not noise.
     """
 
     model: JointModel
     windowed: Blocks
     middles: Array
     beside: Array
-    reach: float
+    reach: Array
     least_w: float
 
     def targets(self, at_most: int) -> JointFit:
         """Targets added one by one, the strongest first, until noise is left."""
         fit, barred, in_vain = self.model.refined(self.beside), _NONE, 0
+        if self.model.beside_static:
+            # What is static moves peaks; the echoes themselves are measured beside it already.
+            fit = self.model.refined(np.vstack([self.middles, self.beside]))
+            if not self.is_sound(fit):
+                return fit
         while in_vain < _MOST_IN_VAIN and len(self.targets_of(fit)) < at_most:
             excess, place = self.strongest(fit, barred)
             if excess <= 1:
                 break
-            more = self.model.refined(np.vstack([place, fit.places]))
+            fits = [
+                self.model.refined(np.vstack([at, fit.places])) for at in self.beginnings(place)
+            ]
+            more = min(fits, key=lambda one: one.misfit)
             if self.is_sound(more):
                 fit, in_vain = more, 0
             else:
                 barred, in_vain = np.vstack([barred, place]), in_vain + 1
         return fit
 
+    def beginnings(self, place: Array) -> list[Array]:
+        """Places (2,) from which that of a target is looked for: of few slots, whose lobes are
+        wide, also at other rates of its delay; beside what is static also at slow ones, of which
+        little is left at their own place and more elsewhere.
+        """
+        rates = [place[1]]
+        if (n_slots := int(self.model.blocks.grid.count_t.sum())) <= _FEW:
+            rates += [place[1] + half / 2 for half in range(1 - n_slots, n_slots) if half]
+        if self.model.beside_static:
+            rates += [self.model.at_rest + slow for slow in _SLOW]
+        return [np.array([place[0], rate]) for rate in rates]
+
     def is_sound(self, fit: JointFit) -> bool:
         """Whether the targets of a fit can be those that are looked for."""
         return (
-            self.are_apart(fit) and self.are_seen(fit) and self.are_of_these(self.targets_of(fit))
+            self.are_apart(fit)
+            and self.are_seen(fit)
+            and self.are_of_these(self.targets_of(fit))
+            and self.are_told_by_slots(self.targets_of(fit))
         )
 
     def are_apart(self, fit: JointFit) -> bool:
@@ -223,7 +255,15 @@ class _Search:
             _apart(places, echoes).min(axis=1, initial=np.inf)
             for echoes in (self.middles, np.vstack([self.beside, self.model.fixed]))
         )
-        return bool((own <= np.minimum(others, 2 * self.reach)).all())
+        return bool((own <= np.minimum(others, 2 * self.reach.max())).all())
+
+    def are_told_by_slots(self, places: Array) -> bool:
+        """Whether no more places (n, 2) are within a cell of range than slots tell: each target has
+        three numbers there, rate and amplitude, and each slot two; what is static takes one slot.
+        """
+        n_slots = int(self.model.blocks.grid.count_t.sum()) - self.model.beside_static
+        in_cell = np.abs(places[:, None, 0] - places[:, 0]) < 1
+        return bool(in_cell.sum(axis=1).max(initial=0) <= max(2 * n_slots / 3, 1))
 
     def without_needless(self, fit: JointFit) -> JointFit:
         """The fit without targets that leave no more of a target where they are left out."""
@@ -243,7 +283,7 @@ class _Search:
         """
         grid = self.model.blocks.grid
         centres = np.vstack([self.middles, self.targets_of(fit)])
-        axes = [_eighths(at, self.reach) for at in centres.T]
+        axes = [_eighths(at, reach) for at, reach in zip(centres.T, self.reach, strict=True)]
         across = np.exp(1j * np.outer(axes[0], grid.by_delay))
         along = np.exp(1j * np.outer(grid.by_rate, axes[1]))
         rest = self.model.residual_sums(fit)
@@ -254,19 +294,24 @@ class _Search:
         ]
         excess = power / (self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T)
         inside = _within(axes, centres, self.reach) & _within(axes, self.middles, 2 * self.reach)
-        inside &= ~_within(axes, barred, 1.0)
+        inside &= ~_within(axes, barred, np.ones(2))
         excess = np.where(inside, excess, 0.0)
         row, column = np.unravel_index(np.argmax(excess), excess.shape)
         return float(excess[row, column]), np.array([axes[0][row], axes[1][column]])
 
 
-def _measurement(
+def fitted_echo(
     model: JointModel, fit: JointFit, i: int, waveform: OfdmWaveform, noise_w: float
 ) -> EchoMeasurement:
     """One target of a fit, with the standard errors of all in the noise around it."""
     blocks = model.blocks
     beside = np.vstack([np.delete(fit.places, i, axis=0), model.fixed])
+    if model.beside_static:
+        at_rest = [(cells, model.at_rest) for cells, _ in fit.places]
+        beside = np.vstack([beside, at_rest])
     around = residual_cells(blocks, fit.places[i], beside=beside)
+    if model.beside_static:  # the mean over slots took as much of the noise as one of them
+        around = around * np.sqrt(waveform.n_slots / (waveform.n_slots - 1))
     noise = ChannelNoise.of_cells(around, noise_w)
     own = noise.scaled(float(fit.gram[i, i].real))  # of its amplitudes, beside the others
     amplitude = fit.amplitudes[i]
@@ -301,7 +346,7 @@ def _groups(
     groups, waiting = list[list[EchoMeasurement]](), list(echoes)
     cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
     while waiting:
-        steps = _steps_of(waiting, np.nan_to_num([waiting[0].delay_s, waiting[0].delay_rate]), cell)
+        steps = steps_of(waiting, np.nan_to_num([waiting[0].delay_s, waiting[0].delay_rate]), cell)
         order = np.argsort(np.abs(steps).max(axis=1), kind="stable")
         near = [0]
         for i in order[1:]:
@@ -319,13 +364,16 @@ def _eighths(centres: Array, reach: float) -> Array:
     return np.linspace(low, high, int(8 * (high - low)) + 1)
 
 
-def _within(axes: Sequence[Array], centres: Array, reach: float) -> NDArray[np.bool_]:
-    """Cells (n, m) of two axes (n,) and (m,) within ``reach`` of one of the places (k, 2)."""
-    near = [np.abs(axis[:, None] - at) <= reach for axis, at in zip(axes, centres.T, strict=True)]
+def _within(axes: Sequence[Array], centres: Array, reach: Array) -> NDArray[np.bool_]:
+    """Cells (n, m) of two axes (n,) and (m,) within ``reach`` (2,) of one of the places (k, 2)."""
+    near = [
+        np.abs(axis[:, None] - at) <= far
+        for axis, at, far in zip(axes, centres.T, reach, strict=True)
+    ]
     return np.asarray((near[0][:, None] & near[1]).any(axis=-1))
 
 
-def _steps_of(echoes: Sequence[EchoMeasurement], middle: Array, cell: Array) -> Array:
+def steps_of(echoes: Sequence[EchoMeasurement], middle: Array, cell: Array) -> Array:
     """Cells (n, 2) from a delay and a rate (2,) to echoes."""
     places = np.array([(echo.delay_s, echo.delay_rate) for echo in echoes]).reshape(-1, 2)
     return np.nan_to_num((places - middle) / cell)  # NaN is not measured

@@ -1,0 +1,62 @@
+"""Echoes of a channel from which all static echoes are subtracted, measured beside these.
+
+The mean over slots that is subtracted holds a part of each moving echo too. Without it an echo's
+peak is elsewhere, by half a cell of rate and more with few slots, and at rate 0 a part of it is
+left. So each echo is fitted together with what is static, of any range profile, and its errors are
+those of that fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.radar.demodulation import Complex
+from hardware.radar.joint_fit import JointModel
+from hardware.radar.measurement import EchoMeasurement, without_duplicates
+from hardware.radar.refinement import blocks_about
+from hardware.radar.superresolution import fitted_echo, steps_of
+from hardware.waveform import OfdmWaveform
+
+Array = NDArray[np.float64]
+
+_STATIC = 0.5  # cells of rate up to which an echo is no moving one
+_NEAR, _MOST_NEAR = 8.0, 4  # cells of range, and number, of other echoes that are fitted with one
+_TRIED = np.linspace(-1.0, 1.0, 17)  # cells of rate from the peak, from which the fit begins
+
+
+def moving_echoes(
+    echoes: Sequence[EchoMeasurement], channel: Complex, waveform: OfdmWaveform, noise_w: float
+) -> list[EchoMeasurement]:
+    """Echoes, strongest first, of a channel without its mean over slots, measured anew, without
+    those that are static. ``noise_w``: of a cell without a window.
+    """
+    cells = np.array([echo.delay_rate for echo in echoes]) / waveform.delay_rate_cell
+    folded = np.abs(cells - waveform.n_slots * np.rint(cells / waveform.n_slots))
+    moving = [echo for echo, away in zip(echoes, folded, strict=True) if away >= _STATIC]
+    measured = [_fitted(echo, moving, channel, waveform, noise_w) for echo in moving]
+    return without_duplicates(measured, waveform, folded=False)
+
+
+def _fitted(
+    echo: EchoMeasurement,
+    echoes: Sequence[EchoMeasurement],
+    channel: Complex,
+    waveform: OfdmWaveform,
+    noise_w: float,
+) -> EchoMeasurement:
+    """One of the echoes, fitted beside what is static and the nearest of the others."""
+    place = np.array([echo.delay_s]), np.array([echo.delay_rate])
+    (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
+    middle, cell = np.array([blocks.delay_s, blocks.delay_rate]), blocks.grid.cell
+    steps = steps_of([other for other in echoes if other is not echo], middle, cell)
+    near = np.abs(steps[:, 0]) <= _NEAR
+    nearest = steps[near][np.argsort(np.abs(steps[near]).max(axis=1))[:_MOST_NEAR]]
+    model = JointModel(blocks, nearest, noise_w, beside_static=True)
+    fits = [model.fit(np.array([[0.0, cells]])) for cells in _TRIED]
+    fit = model.refined(min(fits, key=lambda one: one.misfit).places)
+    found = fitted_echo(model, fit, 0, waveform, noise_w)
+    moved = found.delay_rate - echo.delay_rate
+    alternatives = tuple(rate + moved for rate in echo.delay_rate_alternatives)
+    return replace(found, delay_rate_alternatives=alternatives)
