@@ -3,6 +3,7 @@
 Statistical bounds hold at a false-alarm rate of 1e-6 unless a test says otherwise.
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import h5py
 import numpy as np
 import pytest
 from scipy import stats
+from ugv_command import ugv
 
+from hardware.errors import InputError
 from hardware.radar import (
     Cfar,
     OfdmWaveform,
@@ -307,6 +310,26 @@ def test_a_record_that_contradicts_itself_is_refused(change, told) -> None:
 def test_a_front_end_that_cannot_be_is_refused(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^{field}: "):
         RadarFrontEnd(**{"root_watt_per_count": 1.0, "transmit_power_w": 1.0, field: value})
+
+
+@pytest.mark.parametrize("delay_s", [1.5, -2, np.inf, "1 ns", True, None])
+def test_a_leakage_delay_that_cannot_be_is_refused(delay_s: object) -> None:
+    """In one line that names it and says what is expected; 1.5 may be nanoseconds."""
+    told = re.escape(f"leakage_delay_s: {delay_s!r}, expected a finite number within +/- 1")
+    with pytest.raises(InputError, match=f"^{told}$"):
+        RadarFrontEnd(root_watt_per_count=1.0, transmit_power_w=1.0, leakage_delay_s=delay_s)
+
+
+@pytest.mark.parametrize("command", ["detect", "image"])
+def test_a_file_with_such_a_delay_is_refused(command: str, tmp_path: Path) -> None:
+    """By its name, and once."""
+    path = tmp_path / "r.h5"
+    write_radar_record(record_of(echo(SMALL, 3.0, 1.0, 1e-9), SMALL, 1e-9), path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["leakage_delay_s"] = 1.5
+    done = ugv(command, path)
+    told = "leakage_delay_s: 1.5, expected a finite number within +/- 1"
+    assert (done.returncode, done.stderr) == (2, f"ugv: error: {path}: {told}\n")
 
 
 def test_a_pattern_may_have_a_null_ahead() -> None:
