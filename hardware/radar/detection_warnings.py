@@ -43,7 +43,8 @@ def targets_of_two_slots(waveform: OfdmWaveform, how: Processing) -> list[str]:
         return []
     return [
         "range rate: 2 slots of a transmitter tell one in each range cell; where targets of "
-        "several are in it (resolve), it is that of none, which its error does not hold"
+        "several are in it (resolve), it is that of none, which its error does not hold, and "
+        "detections beside it may be false"
     ]
 
 

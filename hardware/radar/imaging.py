@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: What bursts of one image share: subcarriers, carrier, and number of resets before them.
+_Alike = tuple[int, float, int]
+
 
 @dataclass(frozen=True)
 class Wall:
@@ -251,10 +254,6 @@ def _coherent_bursts(
     if left_out:
         warnings.append(told_left_out(dict(sorted(left_out.items())), len(record.iq)))
     return bursts, tuple(warnings)
-
-
-#: What bursts of one image share: subcarriers, carrier, and number of resets before them.
-_Alike = tuple[int, float, int]
 
 
 def _apart(record: "RadarRecord", number: int, own: _Alike, most: _Alike) -> str:

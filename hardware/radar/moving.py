@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hardware.radar.demodulation import Complex
 from hardware.radar.joint_fit import JointModel
 from hardware.radar.measurement import EchoMeasurement, without_duplicates
-from hardware.radar.refinement import blocks_about
+from hardware.radar.refinement import Blocks, blocks_about
 from hardware.radar.superresolution import fitted_echo, steps_of
 from hardware.waveform import OfdmWaveform
 
@@ -35,22 +35,25 @@ def moving_echoes(
     cells = np.array([echo.delay_rate for echo in echoes]) / waveform.delay_rate_cell
     folded = np.abs(cells - waveform.n_slots * np.rint(cells / waveform.n_slots))
     moving = [echo for echo, away in zip(echoes, folded, strict=True) if away >= _STATIC]
-    measured = [_fitted(echo, moving, channel, waveform, noise_w) for echo in moving]
+    places = np.array([(echo.delay_s, echo.delay_rate) for echo in moving]).reshape(-1, 2)
+    about = blocks_about(channel, waveform, "boxcar", places[:, 0], places[:, 1])
+    measured = [
+        _fitted(echo, blocks, [other for other in moving if other is not echo], waveform, noise_w)
+        for echo, blocks in zip(moving, about, strict=True)
+    ]
     return without_duplicates(measured, waveform, folded=False)
 
 
 def _fitted(
     echo: EchoMeasurement,
-    echoes: Sequence[EchoMeasurement],
-    channel: Complex,
+    blocks: Blocks,
+    others: Sequence[EchoMeasurement],
     waveform: OfdmWaveform,
     noise_w: float,
 ) -> EchoMeasurement:
-    """One of the echoes, fitted beside what is static and the nearest of the others."""
-    place = np.array([echo.delay_s]), np.array([echo.delay_rate])
-    (blocks,) = blocks_about(channel, waveform, "boxcar", *place)
-    middle, cell = np.array([blocks.delay_s, blocks.delay_rate]), blocks.grid.cell
-    steps = steps_of([other for other in echoes if other is not echo], middle, cell)
+    """An echo fitted beside what is static and the nearest of others."""
+    middle = np.array([blocks.delay_s, blocks.delay_rate])
+    steps = steps_of(others, middle, blocks.grid.cell)
     near = np.abs(steps[:, 0]) <= _NEAR
     nearest = steps[near][np.argsort(np.abs(steps[near]).max(axis=1))[:_MOST_NEAR]]
     model = JointModel(blocks, nearest, noise_w, beside_static=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from radar_cubes import HALF, WIDE, Echo, cube
+from radar_cubes import CARRIERS, HALF, STEP, WIDE, Echo, cube
 from ugv_command import ugv
 
 from hardware.recording import Log
@@ -159,6 +159,23 @@ def test_a_spectrogram_numbers_bursts_as_the_user_does(tmp_path: Path) -> None:
     told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
     assert told
     assert all(line.startswith(f"warning: {path}: burst 2") for line in told)
+
+
+def test_a_spectrogram_leaves_out_a_part_of_the_band(tmp_path: Path) -> None:
+    """Of carrier steps behind a loss; by itself the burst is shown."""
+    record = cube(STEP, [Echo((4.0, 0, 0))], carriers_hz=CARRIERS, leakage=(1e-7, 1.1e-9))
+    cut = replace(record, flags=record.flags.copy(), device_time_ns=record.device_time_ns + 10**9)
+    cut.flags[0, 20, 3] = Flag.LOST
+    path = tmp_path / "drive.mcap"
+    with Log(path) as log:
+        for number, one in enumerate((record, cut)):
+            log.record("/radar/record", one, host_ns=number)
+    over_all, alone = (ugv("spectrogram", path, "--at", "4 m", *of) for of in ((), ("--burst", 1)))
+    assert (over_all.returncode, alone.returncode) == (0, 0)
+    told = f"warning: {path}: left out: burst 1, step 20, slot 3: flagged as lost (1 of 400 slots"
+    assert told in over_all.stderr
+    assert "1 bursts in" in over_all.stdout
+    assert "left out" not in alone.stderr
 
 
 def _log_with_a_broken_message(path: Path) -> None:
