@@ -193,8 +193,11 @@ def _log_with_a_broken_message(path: Path) -> None:
                 log.record("/radar/record", record, host_ns=number)
 
 
+_SIGMF = pytest.param(("export",), marks=pytest.mark.library("sigmf"))
+
+
 @pytest.mark.parametrize(
-    "command", [_SPECTROGRAM, _CALIBRATE, ("process",), ("replay",), ("info",), ("export",)]
+    "command", [_SPECTROGRAM, _CALIBRATE, ("process",), ("replay",), ("info",), _SIGMF]
 )
 def test_a_message_that_cannot_be_read_is_left_out(
     command: tuple[str, ...], tmp_path: Path
