@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin.geometry.near_boxes import near_pairs
+from twin.radar.propagation.diffraction.rim_crossings import crossings
 from twin.radar.propagation.diffraction.rims import unsure_m
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
@@ -67,9 +68,9 @@ class _Pieces:
     from_m: Array
 
     @staticmethod
-    def of(rim: Outline, group: int, wavelength_m: float) -> "_Pieces":
-        """Of an outline, nothing known yet."""
-        pieces, edge, piece, count = _pieces(rim, wavelength_m)
+    def of(rim: Outline, others: list[Outline], group: int, wavelength_m: float) -> "_Pieces":
+        """Of an outline, which it and others may cross, nothing known yet."""
+        pieces, edge, piece, count = _pieces(rim, others, wavelength_m)
         middle = pieces.ends.mean(axis=1)
         sight = middle / lengths(middle)[:, None]
         aside_m = _aside_m(middle, wavelength_m)
@@ -181,8 +182,9 @@ class OuterRims:
     def _of(self, item: int, own: int) -> _Pieces:
         own = own if own in self._owner[self._close[item]] else -1
         if (item, own) not in self._pieces:
+            others = [self._outline(k) for k in (item, *self._close[item].tolist())]
             self._pieces[item, own] = _Pieces.of(
-                self._outline(item), int(self._group[item]), self._wavelength_m
+                others[0], others, int(self._group[item]), self._wavelength_m
             )
         return self._pieces[item, own]
 
@@ -298,8 +300,12 @@ def _close(boxes: Array, alone: Indices, wavelength_m: float) -> list[Indices]:
     return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(boxes))))
 
 
-def _pieces(rim: Outline, wavelength_m: float) -> tuple[Outline, Indices, Indices, Indices]:
-    """Short pieces of edges; of each the edge and its number there; and of edges how many."""
+def _pieces(
+    rim: Outline, others: list[Outline], wavelength_m: float
+) -> tuple[Outline, Indices, Indices, Indices]:
+    """Short pieces of edges, none of which goes on past a crossing with another edge; of each the
+    edge and its number there; and of edges how many.
+    """
     side = rim.ends[:, 1] - rim.ends[:, 0]
     size = _piece_m(rim.ends.mean(axis=1), wavelength_m)
     parts = np.minimum(np.linalg.norm(side, axis=1) / size, _MOST_PIECES[0])
@@ -307,7 +313,15 @@ def _pieces(rim: Outline, wavelength_m: float) -> tuple[Outline, Indices, Indice
     count = np.maximum(np.ceil(parts), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    return _part(rim, edge, piece / count[edge], (piece + 1) / count[edge]), edge, piece, count
+    crossed, share = crossings(rim, np.flatnonzero(count > 1), others)
+    begins = np.unique(
+        np.stack([np.append(edge, crossed), np.append(piece / count[edge], share)], axis=1), axis=0
+    )
+    edge, begin = begins[:, 0].astype(np.int64), begins[:, 1]
+    count = np.bincount(edge, minlength=len(count))
+    piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    end = np.where(piece + 1 < count[edge], np.append(begin[1:], 1.0), 1.0)
+    return _part(rim, edge, begin, end), edge, piece, count
 
 
 def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:
@@ -419,10 +433,10 @@ def _runs(pieces: _Pieces, room_m: Array) -> tuple[Outline, Indices]:
 
 
 def _joined(rim: Outline, wavelength_m: float) -> Outline:
-    """With the light beside ends where two rims cross between both."""
+    """With the light beside ends where two rims cross between both, past which waves pass."""
     _, number, count = np.unique(rim.corner, return_inverse=True, return_counts=True)
     is_loose = count[number.reshape(rim.corner.shape)] == 1
-    ends, aside = rim.ends[is_loose], rim.aside.copy()
+    ends, aside, past = rim.ends[is_loose], rim.aside.copy(), rim.past.copy()
     if len(ends) < 2:
         return rim
     length = np.linalg.norm(ends, axis=1)
@@ -432,7 +446,8 @@ def _joined(rim: Outline, wavelength_m: float) -> Outline:
     lit = aside[is_loose]
     between = np.where(is_met[:, None], lit + lit[other], lit)
     aside[is_loose] = between / np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-300)
-    return replace(rim, aside=aside)
+    past[is_loose] = np.where(is_met[:, None], ends[other], ends)
+    return replace(rim, aside=aside, past=past)
 
 
 def _piece_m(place: Array, wavelength_m: float) -> Array:

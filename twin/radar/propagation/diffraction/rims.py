@@ -319,7 +319,10 @@ def _paths_over_ends(pairs: _Pairs, faintest: float) -> DiffractedPaths:
     inwards = (1 - 2 * end)[:, None] * rim.lines.along[pairs.edge]
     both = np.stack([inwards, rim.onwards[pairs.edge, end]], axis=1)
     is_sharp = both[:, 1].any(axis=1) & (dots(both[:, 0], both[:, 1]) > -_STRAIGHT)
-    return replace(paths, corner=np.where(is_sharp[:, None, None], both, 0.0))
+    stops = np.stack([place, rim.past[pairs.edge, end]], axis=1)
+    is_before = lengths(stops[:, 0]) > lengths(stops[:, 1])
+    stops[is_before] = stops[is_before, ::-1]
+    return replace(paths, stops=stops, corner=np.where(is_sharp[:, None, None], both, 0.0))
 
 
 def _passing(

@@ -56,8 +56,9 @@ class Outline:
     and their ends, the same from everywhere; ``lit`` (m, 3) is the unit vector across the edge and
     the line of sight, away from the object, and ``aside`` (m, 2, 3) that into the light at its
     ends, between it and the edges that go on from there; ``onwards`` (m, 2, 3) those from its ends
-    along the edge that goes on, 0 where several do, or none; ``room_m`` (m,): how far aside of an
-    edge nothing else of the object is, inf where it is not known.
+    along the edge that goes on, 0 where several do, or none; ``past`` (m, 2, 3): where an edge ends
+    below or above another one, the place of that, else its own end; ``room_m`` (m,): how far aside
+    of an edge nothing else of the object is, inf where it is not known.
     """
 
     ends: Array
@@ -66,6 +67,7 @@ class Outline:
     lit: Array
     aside: Array
     onwards: Array
+    past: Array
     room_m: Array
 
     @cached_property
@@ -87,7 +89,7 @@ class Outline:
         light /= np.maximum(np.linalg.norm(light, axis=1, keepdims=True), 1e-300)
         onwards = np.where((count == 2)[number][..., None], both[number] - inwards, 0.0)
         room_m = np.full(len(edge), np.inf)
-        return Outline(ends, edge, corner, lit, light[number], onwards, room_m)
+        return Outline(ends, edge, corner, lit, light[number], onwards, ends, room_m)
 
     def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
