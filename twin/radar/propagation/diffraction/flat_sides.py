@@ -135,7 +135,7 @@ def _joined(ends: Array, corner: Indices, normals: Array) -> tuple[Array, Indice
     i, j = (rows // 2 for rows in matching_pairs(corner.ravel(), corner.ravel()))
     alike = np.max(
         [
-            np.einsum("nfi,nfi->nf", normals[i], other).min(axis=1)
+            np.abs(np.einsum("nfi,nfi->nf", normals[i], other)).min(axis=1)
             for other in (normals[j], normals[j, ::-1])
         ],
         axis=0,
