@@ -23,30 +23,41 @@ def crossings(rim: Outline, edges: Indices, others: Sequence[Outline]) -> tuple[
     """
     ends = np.ascontiguousarray(rim.ends[edges])
     every = np.concatenate([other.ends for other in others])
-    row, share = kernel(_crossings)(ends, every)
+    # The planes of the other edges and the point that all are seen from.
+    normals = np.cross(every[:, 0], every[:, 1])
+    row, share = kernel(_crossings, _above)(ends, every, normals)
     return edges[row], share
 
 
-def _crossings(ends: Array, others: Array) -> tuple[Indices, Array]:
+def _crossings(ends: Array, others: Array, normals: Array) -> tuple[Indices, Array]:
     rows, shares = [0 for _ in range(0)], [0.0 for _ in range(0)]
     for i in range(len(ends)):
         begin, side = ends[i, 0], ends[i, 1] - ends[i, 0]
         for j in range(len(others)):
-            # The plane of the other edge and the point that both are seen from.
-            normal = np.cross(others[j, 0], others[j, 1])
-            slope = np.dot(normal, side)
-            if slope == 0:
+            x, y, z = normals[j]
+            below = x * begin[0] + y * begin[1] + z * begin[2]
+            slope = x * side[0] + y * side[1] + z * side[2]
+            if below * slope >= 0 or abs(below) >= abs(slope):
                 continue
-            share = -np.dot(normal, begin) / slope
-            if not _WITHIN < share < 1 - _WITHIN:
-                continue
+            share = -below / slope
             there = begin + share * side
-            first, last = np.cross(others[j, 0], there), np.cross(there, others[j, 1])
-            if np.dot(first, normal) < 0 or np.dot(last, normal) < 0:
+            if not (
+                _WITHIN < share < 1 - _WITHIN
+                and _above(others[j, 0], there, normals[j])
+                and _above(there, others[j, 1], normals[j])
+            ):
                 continue
             across = side - np.dot(side, there) / np.dot(there, there) * there
-            size = np.sqrt(np.dot(normal, normal) * np.dot(across, across))
-            if abs(np.dot(normal, across)) > _ASKEW * size:
+            size = np.sqrt(np.dot(normals[j], normals[j]) * np.dot(across, across))
+            if abs(np.dot(normals[j], across)) > _ASKEW * size:
                 rows.append(i)
                 shares.append(share)
     return np.array(rows), np.array(shares)
+
+
+def _above(one: Array, other: Array, normal: Array) -> bool:
+    """Whether one turns to the other, by less than half a turn, about the normal."""
+    x = one[1] * other[2] - one[2] * other[1]
+    y = one[2] * other[0] - one[0] * other[2]
+    z = one[0] * other[1] - one[1] * other[0]
+    return bool(x * normal[0] + y * normal[1] + z * normal[2] >= 0)
