@@ -25,7 +25,7 @@ Where a rate would move a target through more range cells than there are blocks,
 its echo, and it cannot be tested: `fastest_resolved`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -87,10 +87,9 @@ def resolve_delay_rates(
     """
     from scipy.special import gammainccinv
 
-    fastest = fastest_resolved(waveform, fastest)
     if waveform.n_slots == 1:  # no rate is measured
         return list(echoes)
-    several = [len(_possible_rates(echo, waveform, fastest)) > 1 for echo in echoes]
+    several = [len(possible_rates(echo, waveform, fastest)) > 1 for echo in echoes]
     if not any(several):
         return [_folded(echo, waveform) for echo in echoes]
     delay_s = np.array([echo.delay_s for echo in echoes])
@@ -107,7 +106,7 @@ def resolve_delay_rates(
             resolved.append(_folded(echo, waveform))
             continue
         remainder = _subtract_echoes(blocks, resolved, noise_w)
-        likeliest, evidence = _with_likeliest_rate(
+        likeliest, evidence = _with_likeliest_of(
             channel, waveform, echo, remainder, resolved, noise_w, fastest
         )
         if _is_other_fold(likeliest.delay_rate, echo, waveform):
@@ -129,18 +128,19 @@ def resolve_delay_rates(
                 unfolded.append(second)
                 resolved.append(second)
                 remainder = _subtract_echoes(blocks, resolved, noise_w)
-                likeliest, _ = _with_likeliest_rate(
+                likeliest, _ = _with_likeliest_of(
                     channel, waveform, echo, remainder, resolved, noise_w, fastest
                 )
         resolved.append(likeliest)
     return without_duplicates(resolved, waveform, folded=False)
 
 
-def _possible_rates(echo: EchoMeasurement, waveform: OfdmWaveform, fastest: float) -> Array:
-    """`ambiguous_rates` of an echo: one as fast as ``fastest`` may be measured beyond it, by its
-    error; and where another one is measured, by what Doppler shifts of that difference spread over
-    the band, as the echo's peak may be at either of its ends.
+def possible_rates(echo: EchoMeasurement, waveform: OfdmWaveform, fastest: float) -> Array:
+    """`ambiguous_rates` of an echo, up to `fastest_resolved`: one as fast as that may be measured
+    beyond it, by its error; and where another one is measured, by what Doppler shifts of that
+    difference spread over the band, as the echo's peak may be at either of its ends.
     """
+    fastest = fastest_resolved(waveform, fastest)
     beyond = float(np.fmin(_ERRORS * echo.delay_rate_error, waveform.delay_rate_cell))
     spread = waveform.bandwidth_hz / waveform.carrier_hz / 2
     reach = fastest + beyond + spread * (fastest + abs(echo.delay_rate)) / (1 - spread)
@@ -157,7 +157,7 @@ def _folded(echo: EchoMeasurement, waveform: OfdmWaveform) -> EchoMeasurement:
     return replace(echo, delay_rate=float(slowest))
 
 
-def _with_likeliest_rate(
+def _with_likeliest_of(
     channel: Complex,
     waveform: OfdmWaveform,
     echo: EchoMeasurement,
@@ -166,21 +166,40 @@ def _with_likeliest_rate(
     noise_w: float,
     fastest: float,
 ) -> tuple[EchoMeasurement, RateEvidence]:
-    """An echo with its likeliest delay rate, measured again where that is another one, and the
-    likelihood of each rate; the ``others`` are already subtracted from ``blocks``.
+    """`with_likeliest_rate` of an echo measured by itself; the ``others`` are already subtracted
+    from ``blocks``.
     """
-    rates = _possible_rates(echo, waveform, fastest)
+    rates = possible_rates(echo, waveform, fastest)
     evidence = rate_evidence(blocks, rates, noise_w)
+
+    def measured(number: int) -> EchoMeasurement:
+        return _measure_at(channel, waveform, echo, evidence, number, others, noise_w)
+
+    return with_likeliest_rate(echo, evidence, others, channel, waveform, measured), evidence
+
+
+def with_likeliest_rate(
+    echo: EchoMeasurement,
+    evidence: RateEvidence,
+    others: Sequence[EchoMeasurement],
+    channel: Complex,
+    waveform: OfdmWaveform,
+    measured: Callable[[int], EchoMeasurement],
+) -> EchoMeasurement:
+    """An echo with the likeliest of the rates of ``evidence``; others that it leaves open are its
+    alternatives. ``measured``: the echo at another of these, by its index.
+    """
+    rates = evidence.delay_rate
     best, *rest = evidence.candidates.tolist()
     if _is_other_fold(float(rates[best]), echo, waveform):
-        found = _measure_at(channel, waveform, echo, evidence, best, others, noise_w)
+        found = measured(best)
         if _is_left_by(found, others, waveform) and not _explains(found, echo, channel, waveform):
             own = int(np.argmin(np.abs(rates - echo.delay_rate)))
             best, rest = own, [best, *(number for number in rest if number != own)]
         else:
             echo = found
     alternatives = echo.delay_rate + (rates[rest] - rates[best])
-    return replace(echo, delay_rate_alternatives=tuple(alternatives.tolist())), evidence
+    return replace(echo, delay_rate_alternatives=tuple(alternatives.tolist()))
 
 
 def _measure_at(

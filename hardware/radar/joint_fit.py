@@ -5,7 +5,7 @@ doi 10.1088/0266-5611/19/2/201); the places follow by the method of Levenberg an
 normal matrix at the solution is the Fisher information of the places.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -93,6 +93,19 @@ class JointModel:
     def residual_sums(self, fit: "JointFit") -> Complex:
         """What a fit leaves of the block sums (n_channels, n_f, n_t)."""
         return np.asarray(fit.residual.reshape(self.blocks.sums.shape) * self.weights)
+
+    def alone(self, fit: "JointFit", i: int) -> Blocks:
+        """One echo of a fit, with what the fit leaves, in blocks about its place."""
+        place = fit.places[i]
+        unit, _ = self.echoes(place[None])
+        echo = (fit.amplitudes[i][:, None] * unit).reshape(self.blocks.sums.shape) * self.weights
+        grid, (delay_s, delay_rate) = self.blocks.grid, place * self.blocks.grid.cell
+        return replace(
+            self.blocks,
+            sums=(self.residual_sums(fit) + echo) * grid.phasor(place),
+            delay_s=self.blocks.delay_s + delay_s,
+            delay_rate=self.blocks.delay_rate + delay_rate,
+        )
 
     @cached_property
     def _turns(self) -> Complex:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
+from hardware.radar.fitted_targets import fitted_echo
 from hardware.radar.joint_fit import JointModel
 from hardware.radar.measurement import EchoMeasurement, without_duplicates
 from hardware.radar.refinement import Blocks, blocks_about
-from hardware.radar.superresolution import fitted_echo, steps_of
+from hardware.radar.superresolution import steps_of
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]

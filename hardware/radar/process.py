@@ -243,6 +243,7 @@ def _detections(
             interval.waveform,
             noise_w,
             how.cfar.false_alarm,
+            fastest=fastest,
             beside_static=how.moving_only,
         )
     echoes = with_spread_of_others(echoes, interval, variance)

@@ -9,21 +9,21 @@ lobes. Targets without which the others explain as much are then left out again.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
+from hardware.radar.fitted_targets import FittedTargets
 from hardware.radar.joint_fit import JointFit, JointModel
 from hardware.radar.measurement import (
     EchoMeasurement,
     cells_apart,
-    echo_measurement,
     without_duplicates,
 )
+from hardware.radar.rate_evidence import ambiguous_rates, fastest_resolved
 from hardware.radar.refinement import Blocks, blocks_about, echo_amplitudes
-from hardware.radar.residue import residual_cells
 from hardware.radar.within_symbols import channel_without_leakage
 from hardware.waveform import OfdmWaveform
 
@@ -52,9 +52,10 @@ def split_targets(
     noise_w: float,
     false_alarm: float,
     *,
+    fastest: float,
     beside_static: bool = False,
 ) -> list[EchoMeasurement]:
-    """Echoes of the targets that each consists of, with its alternative rates.
+    """Echoes of the targets that each consists of, at rates up to ``fastest`` in s/s.
 
     Echoes near each other are split together: each may hide targets that the others' side lobes
     contain. An echo stays as it is where no target is found near it: without a window, what a
@@ -75,6 +76,7 @@ def split_targets(
             waveform,
             groups[i][0],
             noise_w,
+            fastest=fastest,
             false_alarm=false_alarm,
             together=groups[i][1:],
             others=others,
@@ -99,6 +101,7 @@ def resolve(
     echo: EchoMeasurement,
     noise_w: float,
     *,
+    fastest: float,
     false_alarm: float = 1e-6,
     reach: float = _REACH,
     at_most: int = 4,
@@ -116,6 +119,9 @@ def resolve(
         What is to be split.
     noise_w
         Mean noise power of a cell without a window.
+    fastest
+        Largest delay rate, in s/s, of approaching or receding targets: which of the rates that fold
+        to that of a target is told as of other echoes, see `resolve_delay_rates`.
     false_alarm
         Probability of a false target per cell searched.
     reach
@@ -154,19 +160,13 @@ def resolve(
     least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
     model = JointModel(blocks, fixed, noise_w, beside_static)
     reaches = np.minimum(reach, np.array([waveform.n_subcarriers, waveform.n_slots]) / 2)
-    search = _Search(model, windowed, middles, beside, reaches, least_w)
+    search = _Search(model, windowed, middles, beside, reaches, least_w, waveform, fastest)
     fit = search.without_needless(search.targets(at_most * len(split)))
-    parts = []
-    for i in range(len(search.targets_of(fit))):
-        part = fitted_echo(search.model, fit, i, waveform, noise_w)
-        nearest = split[int(np.argmin(np.abs(middles - fit.places[i]).max(axis=1)))]
-        parts.append(
-            replace(
-                part,
-                delay_rate_alternatives=nearest.delay_rate_alternatives,
-                is_corrected=still is not channel,
-            )
-        )
+    n_targets = len(search.targets_of(fit))
+    fitted = FittedTargets(model, n_targets, still, waveform, noise_w, fastest)
+    parts = [
+        replace(part, is_corrected=still is not channel) for part in fitted.at_likeliest_rates(fit)
+    ]
     return sorted(parts, key=lambda part: part.delay_s)
 
 
@@ -177,7 +177,7 @@ class _Search:
 
     ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
     the middles and around targets that are found, of delay and of rate (2,); ``least_w``: mean
-    power over channels of a target that is not noise.
+    power over channels of a target that is not noise; ``fastest``: largest delay rate, in s/s.
     """
 
     model: JointModel
@@ -186,6 +186,8 @@ class _Search:
     beside: Array
     reach: Array
     least_w: float
+    waveform: OfdmWaveform
+    fastest: float
 
     def targets(self, at_most: int) -> JointFit:
         """Targets added one by one, the strongest first, until noise is left."""
@@ -212,14 +214,27 @@ class _Search:
     def beginnings(self, place: Array) -> list[Array]:
         """Places (2,) from which that of a target is looked for: of few slots, whose lobes are
         wide, also at other rates of its delay; beside what is static also at slow ones, of which
-        little is left at their own place and more elsewhere.
+        little is left at their own place and more elsewhere; and at all rates up to the fastest
+        that fold to the same, since at a wrong one a target is smeared and passes for several.
         """
         rates = [place[1]]
         if (n_slots := int(self.model.blocks.grid.count_t.sum())) <= _FEW:
             rates += [place[1] + half / 2 for half in range(1 - n_slots, n_slots) if half]
         if self.model.beside_static:
             rates += [self.model.at_rest + slow for slow in _SLOW]
-        return [np.array([place[0], rate]) for rate in rates]
+        cell, own = self.waveform.delay_rate_cell, self.model.blocks.delay_rate
+        folding = [ambiguous_rates(self.waveform, own + rate * cell, self.most) for rate in rates]
+        return [np.array([place[0], rate]) for rate in (np.concatenate(folding) - own) / cell]
+
+    @cached_property
+    def most(self) -> float:
+        """Delay rate up to which others are tested, in s/s."""
+        return fastest_resolved(self.waveform, self.fastest)
+
+    def nearest(self, cells: Array) -> Array:
+        """Cells between rates, to the nearest of those that fold to them."""
+        n_slots = self.waveform.n_slots
+        return np.asarray(cells - n_slots * np.rint(cells / n_slots))
 
     def is_sound(self, fit: JointFit) -> bool:
         """Whether the targets of a fit can be those that are looked for."""
@@ -251,9 +266,13 @@ class _Search:
 
     def are_of_these(self, places: Array) -> bool:
         """Whether places (n, 2) are near what is split, and nearer than to echoes elsewhere."""
+        elsewhere = np.vstack([self.beside, self.model.fixed])
         own, others = (
-            _apart(places, echoes).min(axis=1, initial=np.inf)
-            for echoes in (self.middles, np.vstack([self.beside, self.model.fixed]))
+            np.maximum(
+                np.abs(places[:, None, 0] - echoes[:, 0]),
+                np.abs(self.nearest(places[:, None, 1] - echoes[:, 1])),
+            ).min(axis=1, initial=np.inf)
+            for echoes in (self.middles, elsewhere)
         )
         return bool((own <= np.minimum(others, 2 * self.reach.max())).all())
 
@@ -282,49 +301,25 @@ class _Search:
         of the highest point of the residual, not within a cell of places ``barred`` (n, 2).
         """
         grid = self.model.blocks.grid
+        middle = self.middles[0, 1]
         centres = np.vstack([self.middles, self.targets_of(fit)])
+        centres[:, 1] = middle + self.nearest(centres[:, 1] - middle)
         axes = [_eighths(at, reach) for at, reach in zip(centres.T, self.reach, strict=True)]
         across = np.exp(1j * np.outer(axes[0], grid.by_delay))
         along = np.exp(1j * np.outer(grid.by_rate, axes[1]))
         rest = self.model.residual_sums(fit)
         power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
         power_w = np.mean(np.abs(fit.amplitudes) ** 2, axis=1)
-        lobes = [
-            _side_lobe(axis[:, None] - at) for axis, at in zip(axes, fit.places.T, strict=True)
-        ]
+        away = [axis[:, None] - at for axis, at in zip(axes, fit.places.T, strict=True)]
+        lobes = [_side_lobe(away[0]), _side_lobe(self.nearest(away[1]))]
         excess = power / (self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T)
-        inside = _within(axes, centres, self.reach) & _within(axes, self.middles, 2 * self.reach)
+        inside = _within(axes, centres, self.reach) & _within(
+            axes, centres[: len(self.middles)], 2 * self.reach
+        )
         inside &= ~_within(axes, barred, np.ones(2))
         excess = np.where(inside, excess, 0.0)
         row, column = np.unravel_index(np.argmax(excess), excess.shape)
         return float(excess[row, column]), np.array([axes[0][row], axes[1][column]])
-
-
-def fitted_echo(
-    model: JointModel, fit: JointFit, i: int, waveform: OfdmWaveform, noise_w: float
-) -> EchoMeasurement:
-    """One target of a fit, with the standard errors of all in the noise around it."""
-    blocks = model.blocks
-    beside = np.vstack([np.delete(fit.places, i, axis=0), model.fixed])
-    if model.beside_static:
-        at_rest = [(cells, model.at_rest) for cells, _ in fit.places]
-        beside = np.vstack([beside, at_rest])
-    around = residual_cells(blocks, fit.places[i], beside=beside)
-    if model.beside_static:  # the mean over slots took as much of the noise as one of them
-        around = around * np.sqrt(waveform.n_slots / (waveform.n_slots - 1))
-    noise = ChannelNoise.of_cells(around, noise_w)
-    own = noise.scaled(float(fit.gram[i, i].real))  # of its amplitudes, beside the others
-    amplitude = fit.amplitudes[i]
-    part = echo_measurement(blocks, fit.places[i], amplitude, waveform, noise_w, "boxcar", own)
-    power_w = noise.along(amplitude)
-    errors = np.sqrt(power_w * np.diag(fit.covariance)[2 * i : 2 * i + 2]) * blocks.grid.cell
-    by_place_w = np.sqrt(power_w * fit.power_variance(i))
-    return replace(
-        part,
-        delay_error_s=float(np.where(np.isnan(part.delay_error_s), np.nan, errors[0])),
-        delay_rate_error=float(np.where(np.isnan(part.delay_rate_error), np.nan, errors[1])),
-        power_error_w=float(np.hypot(part.power_error_w, by_place_w)),
-    )
 
 
 def _threshold(false_alarm: float, n_channels: int) -> float:

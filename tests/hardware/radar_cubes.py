@@ -157,7 +157,8 @@ def resolved(channel: np.ndarray, wave: OfdmWaveform, ranges: np.ndarray) -> boo
     echoes = detect_echoes(channel, wave, range_doppler(channel, wave), Cfar(1e-6))
     if not echoes:
         return False
-    parts = resolve(channel, wave, echoes[0], range_doppler(channel, wave, "boxcar").noise_w)
+    noise_w = range_doppler(channel, wave, "boxcar").noise_w
+    parts = resolve(channel, wave, echoes[0], noise_w, fastest=0.0)
     off_s = [abs(p.delay_s - 2 / C * r) for p, r in zip(parts, ranges, strict=False)]
     return len(parts) == 2 and max(off_s) < wave.delay_cell_s / 2
 

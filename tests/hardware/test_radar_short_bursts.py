@@ -66,7 +66,7 @@ def test_targets_of_few_slots_are_split(n_slots: int, apart: tuple[float, float]
     rng, how = np.random.default_rng(n_slots), Processing(resolve=True, fastest_m_per_s=5.0)
     pulls, counts = [], []
     for seed in range(_TRIALS):
-        first = rng.uniform(-n_slots / 2, n_slots / 2)
+        first = rng.uniform(-n_slots / 2, n_slots / 2 - apart[1])
         cells = [first, first + apart[1]]
         ranges_m = (9.0, 9.0 + apart[0] * WIDE.range_cell_m)
         points = [
@@ -77,6 +77,45 @@ def test_targets_of_few_slots_are_split(n_slots: int, apart: tuple[float, float]
         pulls += _pulls(frame, cells)
     assert counts.count(2) >= _TRIALS - 1
     assert np.sqrt(np.mean(np.square(pulls))) < 1.6
+
+
+@pytest.mark.parametrize("moving_only", [False, True])
+@pytest.mark.parametrize("n_slots", [4, 8])
+def test_rates_of_targets_that_are_split_are_within_the_fastest(
+    n_slots: int, moving_only: bool
+) -> None:
+    """Two of one range cell, at rates near either end of those that slots tell: half of the rates
+    were off by what folds to the same, beyond the fastest, with no alternative.
+    """
+    rng, wave = np.random.default_rng(n_slots), replace(WIDE, n_slots=n_slots)
+    cells = [0.45 * n_slots, -0.33 * n_slots]
+    fastest = wave.max_velocity_m_per_s
+    how = Processing(resolve=True, moving_only=moving_only, fastest_m_per_s=fastest)
+    for seed in range(6):
+        points = [_point(9.0, cells[0], n_slots, rng), _point(9.015, cells[1], n_slots, rng)]
+        detections = process(_record(n_slots, points, seed), 0, how).detections
+        assert len(detections) == 2
+        for one in detections:
+            off = np.array(cells) * wave.velocity_cell_m_per_s - one.range_rate_m_per_s
+            assert abs(off).min() < 5 * one.range_rate_error_m_per_s
+
+
+def test_targets_that_are_split_migrate_as_others_do() -> None:
+    """Two of one range, one of them beyond the unambiguous rate, three cells of range a burst and
+    span: both at their own rates, where the errors hold them, and no other is left open.
+    """
+    rng = np.random.default_rng(0)
+    span = 2 * WIDE.max_velocity_m_per_s
+    how = Processing(resolve=True, fastest_m_per_s=1.5 * span)
+    for seed in range(4):
+        points = [_point(9.0, 5.0, 64, rng), _point(9.0, 6.2 + 64, 64, rng)]
+        frame = process(_record(64, points, seed), 0, how)
+        assert len(frame.detections) == 2
+        for cells in (5.0, 70.2):
+            at = cells * WIDE.velocity_cell_m_per_s
+            nearest = min(frame.detections, key=lambda d: abs(d.range_rate_m_per_s - at))
+            assert abs(nearest.range_rate_m_per_s - at) < 5 * nearest.range_rate_error_m_per_s
+        assert not any(d.range_rate_alternatives_m_per_s for d in frame.detections)
 
 
 def test_a_slow_target_beside_another_is_not_split() -> None:
