@@ -213,7 +213,7 @@ def _detections(
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
-    variance = phase_variance(echoes, interval)
+    variance = phase_variance(echoes, interval, beside_static=how.moving_only)
     n_peaks = len(echoes)
     echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
     scattered = scattered_phases(burst, variance, n_peaks - len(echoes))

@@ -31,44 +31,70 @@ _STRONG = 0.01  # of the strongest echo's power
 _STEADY = 0.1  # variance of log amplitudes; of an echo 0.45 of another's amplitude it is as much
 
 
-def phase_variance(echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst) -> float:
+def phase_variance(
+    echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, *, beside_static: bool = False
+) -> float:
     """Variance in rad^2 of the phases of single slots, if white, beyond noise, as the first of the
-    echoes, the strongest, shows them; 0 where what is seen may be noise.
+    echoes, the strongest, shows them; 0 where what is seen may be noise. ``beside_static``: the
+    echoes are what moves alone, beside what is static in the burst.
 
     Phases of more than half a radian spread enough of an echo that peaks of it pass for others at
     its delay, whose sum explains them. Such a sum changes amplitude as much as phase: where the
-    amplitude is steady there is one echo alone.
+    amplitude is steady there is one echo alone, the strongest of the sum.
     """
     if not echoes:
         return 0.0
-    turn = _over_the_echo(echoes[0], burst)
-    of_sum = white_variance(turn / _of_echoes(turn, echoes, burst.waveform))
+    turn, *static = _over_the_echo(echoes[0], burst, beside_static=beside_static)
+    parts = _of_echoes(turn, echoes, burst.waveform, static)
+    fitted = parts.sum(axis=0)
+    beside_sum = turn / np.where(fitted == 0, 1.0, fitted)
+    of_sum = white_variance(beside_sum) if _is_steady(beside_sum) else 0.0
+    if of_sum or not _is_steady(turn):
+        return of_sum
+    strongest = parts[np.argmax(np.sum(np.abs(parts) ** 2, axis=(1, 2)))]
+    return white_variance(turn * strongest.conj())
+
+
+def _is_steady(turn: Complex) -> bool:
+    """Whether slots (n_rounds, n_turns) differ little in amplitude: else noise of a slot, or other
+    echoes, turn phases more than they change logarithms of amplitudes.
+    """
     size = np.maximum(np.abs(turn), np.finfo(float).tiny)
-    is_one = np.log(size).var(axis=0).mean() < _STEADY
-    return white_variance(turn) if is_one and not of_sum else of_sum
+    return bool(np.log(size).var(axis=0).mean() < _STEADY)
 
 
-def _of_echoes(turn: Complex, echoes: Sequence[EchoMeasurement], wave: OfdmWaveform) -> Complex:
-    """What the first echo and strong ones at its delay make of slots (n_rounds, n_turns), by least
-    squares: a sum of echoes is turned as a whole.
+def _of_echoes(
+    turn: Complex, echoes: Sequence[EchoMeasurement], wave: OfdmWaveform, static: Sequence[Complex]
+) -> Complex:
+    """What the first echo, ``static`` and strong echoes at its delay make of slots (n_lines,
+    n_rounds, n_turns), by least squares: a sum of echoes is turned as a whole.
 
-    Peaks below a hundredth of the first may be its own spread, and leave few lines.
+    Peaks below a hundredth of the strongest may be its own spread, and leave few lines.
     """
     first, *others = echoes
     near = cells_apart([first], others, wave)[0, :, 0] < _NEAR_CELLS
-    strong = np.array([other.power_w > _STRONG * first.power_w for other in others], dtype=bool)
+    strongest = max([1.0, *(float(np.mean(np.abs(still) ** 2)) for still in static)])
+    least_w = _STRONG * strongest * first.power_w
+    strong = np.array([other.power_w > least_w for other in others], dtype=bool)
     rates = np.array([0.0, *(other.delay_rate - first.delay_rate for other in others)])
     rates = np.nan_to_num(rates[np.append(True, near & strong)])
-    if 2 * len(rates) > len(turn):
+    if 2 * (len(rates) + len(static)) > len(turn):
         rates = rates[:1]
-    lines = np.exp(-2j * np.pi * wave.carrier_hz * rates * wave.slot_times_s[:, None])
-    fitted = lines @ np.linalg.lstsq(lines, turn, rcond=None)[0]
-    return np.where(fitted == 0, 1.0, fitted)
+    moving = np.exp(-2j * np.pi * wave.carrier_hz * np.multiply.outer(rates, wave.slot_times_s))
+    own = [np.vstack([moving, *(still[:, i] for still in static)]) for i in range(turn.shape[1])]
+    fitted = [
+        np.linalg.lstsq(lines.T, slots, rcond=None)[0][:, None] * lines
+        for lines, slots in zip(own, turn.T, strict=True)
+    ]
+    return np.stack(fitted, axis=-1)
 
 
-def _over_the_echo(echo: EchoMeasurement, burst: DemodulatedBurst) -> Complex:
+def _over_the_echo(
+    echo: EchoMeasurement, burst: DemodulatedBurst, *, beside_static: bool
+) -> list[Complex]:
     """What an echo's delay and rate hold in each slot, of all receivers together, over the echo,
-    (n_rounds, n_turns) in the order of time. A window excludes echoes a few range cells away.
+    (n_rounds, n_turns) in the order of time; ``beside_static``: and what is static there, past
+    which a fast echo migrates. A window excludes echoes a few range cells away.
     """
     wave = burst.waveform
     delay_s, rate = np.nan_to_num([echo.delay_s, echo.delay_rate])
@@ -76,15 +102,19 @@ def _over_the_echo(echo: EchoMeasurement, burst: DemodulatedBurst) -> Complex:
     taper = normalised_window("blackmanharris", wave.n_subcarriers)[:, None]
     cycles = f * (delay_s + rate * t) + wave.carrier_hz * rate * t
     undone = (taper * np.exp(2j * np.pi * cycles)).astype(burst.channel.dtype)
-    by_slot = np.einsum("cfm,fm->cm", burst.channel, undone)
-    turns = np.unique(burst.tdm_offset_s)
-    own = [by_slot[burst.tdm_offset_s == turn] for turn in turns]
-    level = [one.mean(axis=1).conj() for one in own]
-    sums = [
-        mean @ one / max(float(np.vdot(mean, mean).real), 1e-300)
-        for mean, one in zip(level, own, strict=True)
+    by_slot = [np.einsum("cfm,fm->cm", burst.channel, undone)]
+    if beside_static:
+        by_slot.append(np.einsum("cf,fm->cm", burst.channel.mean(axis=-1), undone))
+    level = by_slot[0].mean(axis=1).conj()
+    groups = [burst.tdm_offset_s == turn for turn in np.unique(burst.tdm_offset_s)]
+    power = [max(float(np.vdot(level[own], level[own]).real), 1e-300) for own in groups]
+    return [
+        np.stack(
+            [level[own] @ part[own] / of_one for own, of_one in zip(groups, power, strict=True)],
+            axis=1,
+        ).astype(np.complex128)
+        for part in by_slot
     ]
-    return np.stack(sums, axis=1).astype(np.complex128)
 
 
 def with_rate_error(
