@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hardware.radar.demodulation import Complex
 from hardware.radar.fitted_targets import fitted_echo
 from hardware.radar.joint_fit import JointModel
-from hardware.radar.measurement import EchoMeasurement, without_duplicates
+from hardware.radar.measurement import EchoMeasurement, cells_apart, without_duplicates
 from hardware.radar.refinement import Blocks, blocks_about
 from hardware.radar.superresolution import steps_of
 from hardware.waveform import OfdmWaveform
@@ -33,16 +33,24 @@ def moving_echoes(
     """Echoes, strongest first, of a channel without its mean over slots, measured anew, without
     those that are static. ``noise_w``: of a cell without a window.
     """
-    cells = np.array([echo.delay_rate for echo in echoes]) / waveform.delay_rate_cell
-    folded = np.abs(cells - waveform.n_slots * np.rint(cells / waveform.n_slots))
-    moving = [echo for echo, away in zip(echoes, folded, strict=True) if away >= _STATIC]
+    moving = [echo for echo in echoes if not _is_at_rest(echo, waveform)]
+    near = cells_apart(echoes, moving, waveform)[..., 0].min(axis=1, initial=np.inf)
+    # With none beside it at its range an echo at rest is what several moving ones make together.
+    moving += [echo for echo, away in zip(echoes, near, strict=True) if away > _NEAR]
     places = np.array([(echo.delay_s, echo.delay_rate) for echo in moving]).reshape(-1, 2)
     about = blocks_about(channel, waveform, "boxcar", places[:, 0], places[:, 1])
     measured = [
         _fitted(echo, blocks, [other for other in moving if other is not echo], waveform, noise_w)
         for echo, blocks in zip(moving, about, strict=True)
     ]
+    measured = [echo for echo in measured if not _is_at_rest(echo, waveform)]
     return without_duplicates(measured, waveform, folded=False)
+
+
+def _is_at_rest(echo: EchoMeasurement, waveform: OfdmWaveform) -> bool:
+    """Whether an echo shows at rest, or at a rate that folds to there."""
+    cells = echo.delay_rate / waveform.delay_rate_cell
+    return bool(abs(cells - waveform.n_slots * np.rint(cells / waveform.n_slots)) < _STATIC)
 
 
 def _fitted(

@@ -100,6 +100,18 @@ def test_rates_of_targets_that_are_split_are_within_the_fastest(
             assert abs(off).min() < 5 * one.range_rate_error_m_per_s
 
 
+def test_two_that_move_are_not_lost_where_their_sum_is_at_rest() -> None:
+    """At either sign of a rate their sum peaks there for some phases: of 40 bursts 14 had none."""
+    rng = np.random.default_rng(0)
+    for seed in range(12):
+        points = [_point(9.0, -1.26, 4, rng), _point(8.99, 1.26, 4, rng)]
+        record = _record(4, [*points, Echo((9.3, 0, 0), 3e-8)], seed)
+        assert process(record, 0, Processing(moving_only=True)).detections
+        split = process(record, 0, Processing(moving_only=True, resolve=True))
+        assert len(split.detections) == 2
+        assert max(_pulls(split, [-1.26, 1.26])) < 5
+
+
 def test_targets_that_are_split_migrate_as_others_do() -> None:
     """Two of one range, one of them beyond the unambiguous rate, three cells of range a burst and
     span: both at their own rates, where the errors hold them, and no other is left open.
