@@ -13,6 +13,7 @@ from hardware.commands.records import (
     RadarSetup,
     Settings,
     end_early,
+    fault_in_brackets,
     log_of,
     settings_of,
     setup_of,
@@ -75,7 +76,8 @@ def capture(
                     say.step(f"{received.topic}: record {tally.count}")
                 if not tallies:
                     within = f" within {duration:g} s" if duration < math.inf else ""
-                    raise InputError(f"{', '.join(urls)}: no record came{within}")
+                    why = "".join(fault_in_brackets(ending) for ending in endings.values())
+                    raise InputError(f"{', '.join(urls)}: no record came{within}{why}")
         finally:
             if over.is_set():
                 say.line("stopped")

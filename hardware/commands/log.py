@@ -80,7 +80,7 @@ def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> N
     for topic, n in sorted(missing.items()):
         if n:
             say.line(f"  missing: {n} exposures of {topic}, between its records")
-    if ending.fault:
+    if ending.fault and not ending.lost:
         say.verdict(f"  {ending.advice(path)}")
     say.add(
         log=path,
@@ -94,7 +94,7 @@ def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> N
         fault=ending.fault,
     )
     if ending.lost:
-        raise typer.Exit(DATA_LOST)
+        warn_of_damage(say, {path: ending})
 
 
 def recover(
@@ -104,8 +104,8 @@ def recover(
         Path | None, typer.Option("--out", "-o", help="Instead of in its own place.")
     ] = None,
 ) -> None:
-    """Recover a log whose writer was killed, or that is damaged. Exit status 1: data were lost; the
-    original file is then kept beside it.
+    """Recover a log whose writer was killed, or that is damaged. Exit status 1: data were lost,
+    and the original file is kept beside it, or a record in it cannot be read.
     """
     from hardware.recording import recover as run
 
@@ -117,6 +117,9 @@ def recover(
         say.line(f"as it was: {result.original}")
     if result.ending.lost:
         say.warn(f"{path}: {result.ending.lost}")
+    if result.unreadable:
+        say.warn(f"{path}: copied as they are: {result.unreadable}")
+    if result.ending.lost or result.unreadable:
         raise typer.Exit(DATA_LOST)
 
 

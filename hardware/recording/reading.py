@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from io import BytesIO
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -110,9 +110,14 @@ class Ending:
             messages = self.lost_messages or "unknown"
             told.append(f"lost: {self.lost_bytes} bytes, {messages} messages")
         if self.n_unreadable:
-            names = "; ".join(self.unreadable) + "; ..." * (self.n_unreadable > _MOST_NAMED)
-            told.append(f"left out: {counted(self.n_unreadable, 'unreadable record')} ({names})")
+            told.append(f"left out: {self.told_unreadable}")
         return "; ".join(told)
+
+    @property
+    def told_unreadable(self) -> str:
+        """Number of the records that cannot be read, with names of the first."""
+        names = "; ".join(self.unreadable) + "; ..." * (self.n_unreadable > _MOST_NAMED)
+        return f"{counted(self.n_unreadable, 'unreadable record')} ({names})"
 
     @property
     def _has_gaps(self) -> bool:
@@ -429,14 +434,20 @@ def _describe(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
+_Logged = TypeVar("_Logged", LoggedMessage, LoggedMessage | Beside)
+
+
 def with_records(
-    messages: Iterable[LoggedMessage], ending: Ending
-) -> Iterator[tuple[LoggedMessage, Received | None]]:
-    """Messages of a log and the record in each; None for one of another kind, and for a record that
-    cannot be read, which ``ending`` counts.
+    messages: Iterable[_Logged], ending: Ending
+) -> Iterator[tuple[_Logged, Received | None]]:
+    """Messages of a log and the record in each; None for one of another kind, what is beside
+    messages, and a record that cannot be read, which ``ending`` counts.
     """
     numbers = Counter[str]()
     for logged in messages:
+        if not isinstance(logged, LoggedMessage):
+            yield logged, None
+            continue
         topic, received = logged.topic, None
         if kind := BY_NAME.get(logged.schema.name):
             numbers[topic] += 1

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from hardware.errors import InputError
 from hardware.files import is_held, place_beside
-from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all
+from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all, with_records
 
 #: Name of the metadata that stand where data were lost between messages.
 LOST = "lost"
@@ -23,13 +23,15 @@ LOST = "lost"
 
 @dataclass(frozen=True)
 class RecoveryResult:
-    """Result of `recover`: number of messages, state of the log before, and new path of the damaged
-    original (None: not moved, or nothing was lost).
+    """Result of `recover`: number of messages, state of the log before, new path of the damaged
+    original (None: not moved, or nothing was lost), and records that are copied but cannot be read
+    (empty: none).
     """
 
     kept: int
     ending: Ending
     original: Path | None = None
+    unreadable: str = ""
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
@@ -42,14 +44,14 @@ def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
     Raises as `read_messages`, and InputError where no message can be read, or the log is still
     being written; the file is not changed then.
     """
-    path, ending = Path(path), Ending()
+    path, ending, unreadable = Path(path), Ending(), Ending()
     if is_held(path):
         raise InputError(f"{path}: still being written; expected a log whose writer has ended")
     target = Path(out) if out else path
     original = None
     with place_beside(target) as partial:
         with partial.open("xb") as file:
-            kept = _copy(read_all(path, ending), ending, file)
+            kept = _copy(read_all(path, ending), ending, unreadable, file)
         if ending.fault is not None and not kept:
             raise InputError(f"{path}: no whole message in it: {ending.fault}")
         if ending.lost and not out:
@@ -57,7 +59,8 @@ def recover(path: str | Path, out: str | Path | None = None) -> RecoveryResult:
             os.rename(path, original)
         if ending.fault is not None or out:
             os.replace(partial, target)
-    return RecoveryResult(kept, ending, original)
+    told = unreadable.told_unreadable if unreadable.n_unreadable else ""
+    return RecoveryResult(kept, ending, original, told)
 
 
 def path_of_damaged(path: Path) -> Path:
@@ -66,10 +69,12 @@ def path_of_damaged(path: Path) -> Path:
     return next(free for name in names if not (free := path.with_name(name)).exists())
 
 
-def _copy(records: Iterable[LoggedMessage | Beside], ending: Ending, file: IO[bytes]) -> int:
+def _copy(
+    records: Iterable[LoggedMessage | Beside], ending: Ending, unreadable: Ending, file: IO[bytes]
+) -> int:
     """Write records as a complete log; returns the number of messages."""
     copy, n = None, 0
-    for record in records:
+    for record, _ in with_records(records, unreadable):
         if copy is None:
             copy = _Copy(file, record if isinstance(record, Header) else _HEADER)
         if isinstance(record, LoggedMessage):

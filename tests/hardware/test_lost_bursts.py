@@ -215,10 +215,24 @@ def test_a_message_that_cannot_be_read_is_left_out(
     assert all(text in done.stderr for text in told)
     assert "ugv recover" not in done.stderr
     document = json.loads(done.stdout)
+    assert any("1 unreadable record" in text for text in document["warnings"])
     if command == ("process",):
         assert [each["record"] for each in document["results"]] == [1, 3]
     if command == ("replay",):
         assert len(document["records"]) == 2
+
+
+def test_recover_copies_a_message_that_cannot_be_read_and_says_so(tmp_path: Path) -> None:
+    """Status 0 and no word: each command of the recovered log then told it."""
+    path = tmp_path / "drive.mcap"
+    _log_with_a_broken_message(path)
+    before = path.read_bytes()
+    done = ugv("recover", path)
+    assert done.returncode == 1
+    told = f"warning: {path}: copied as they are: 1 unreadable record (/radar/record, record 2)\n"
+    assert told in done.stderr
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
 def test_a_log_of_which_nothing_can_be_read_is_an_error(tmp_path: Path) -> None:
@@ -230,7 +244,10 @@ def test_a_log_of_which_nothing_can_be_read_is_an_error(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "no record in it (/radar/record, record 1: message: ends after 0 bytes" in done.stderr
-    told = ugv("info", path).stdout
+    came = ugv("capture", f"replay:{path}", "--out", tmp_path / "again.mcap")
+    assert came.returncode == 2
+    assert "no record came (/radar/record, record 1: message: ends after 0 bytes" in came.stderr
+    told = ugv("info", path).stderr
     assert "left out: 12 unreadable records (/radar/record, record 1; " in told
     assert "record 10; ...)" in told
 
