@@ -115,7 +115,7 @@ class RadarCalibration(Warned):
             carrier_hz=first.waveform.carrier_hz,
             **{name: getattr(first.front_end, name) for name in _DECLARED},
             target=target,
-            warnings=distinct(echoes.warnings),
+            warnings=distinct(echoes.told),
         )
 
     def check(self, record: RadarRecord) -> None:
@@ -160,7 +160,7 @@ class RadarCalibration(Warned):
 @dataclass
 class _Echoes:
     """Range offset and two-way gain by the target's echo in one burst after another, each with its
-    standard error, and warnings.
+    standard error, and warnings: ``of_records`` with the number of the record.
     """
 
     target: CalibrationTarget
@@ -168,8 +168,18 @@ class _Echoes:
     gain_db: list[tuple[float, float]] = field(default_factory=list)
     n_samples: list[int] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    of_records: list[tuple[int, str]] = field(default_factory=list)
+    last_record: int = 0
     is_empty: bool = True
     is_whole: bool = True
+
+    @property
+    def told(self) -> list[str]:
+        """All warnings; those of one record name it where there are several."""
+        if self.last_record <= 1:
+            return [*(text for _, text in self.of_records), *self.warnings]
+        named = (f"record {number}: {text}" for number, text in self.of_records)
+        return [*named, *self.warnings]
 
     @property
     def none(self) -> str:
@@ -178,7 +188,7 @@ class _Echoes:
             return "no burst of a radar in it that can be used"
         away = quantity_text(self.target.distance_m, "m")
         told = f"detections: none within {_NEAR_M:g} m of the target at {away}"
-        return told if self.is_whole else "; ".join([told, *distinct(self.warnings)])
+        return told if self.is_whole else "; ".join([told, *distinct(self.told)])
 
     def add(self, number: int, record: RadarRecord, frame: Frame) -> None:
         """A burst of the record of that number. Raises InputError for a saturated one."""
@@ -189,17 +199,18 @@ class _Echoes:
                 f"{told}: expected none in a calibration; take it anew with less gain, or a "
                 "smaller or more distant target"
             )
-        of_record = f"record {number}: " if number > 1 else ""
-        burst = f"{of_record}burst {frame.burst}"
-        self.warnings += [of_record + warning for warning in frame.warnings]
+        self.last_record = max(self.last_record, number)
+        burst = f"burst {frame.burst}"
+        self.of_records += [(number, warning) for warning in frame.warnings]
         away_m = self.target.distance_m
         near = [one for one in frame.detections if abs(one.range_m - away_m) < _NEAR_M]
         near.sort(key=lambda one: -one.power_w)
         if not near:
-            self.warnings.append(f"{burst}: left out, no echo within {_NEAR_M:g} m of the target")
+            told = f"{burst}: left out, no echo within {_NEAR_M:g} m of the target"
+            self.of_records.append((number, told))
             return
         if len(near) > 1:
-            self.warnings.append(f"{burst}: {_several(near)}")
+            self.of_records.append((number, f"{burst}: {_several(near)}"))
         self._measure(near[0], record, frame.waveform)
         self.n_samples.append(frame.waveform.n_subcarriers * frame.waveform.n_slots)
 

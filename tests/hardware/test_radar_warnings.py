@@ -7,6 +7,7 @@ import pytest
 from radar_cubes import HALF, WIDE, Echo, cube
 
 from hardware import Cfar, Processing, process
+from hardware.calibration import CalibrationTarget, RadarCalibration
 
 SMALL = replace(WIDE, n_subcarriers=13, n_slots=13)
 
@@ -93,3 +94,13 @@ def test_levels_that_are_left_to_rounding_are_told(
     iq = echo / 8000 * record.iq + rng.normal(0, noise, record.iq.shape)
     frame = process(replace(record, iq=np.rint(iq).astype(np.int16)))
     assert any("left to rounding" in told for told in frame.warnings) == is_told
+
+
+def test_a_calibration_of_several_records_names_each() -> None:
+    """The first had no number, so that its warnings passed for those of all."""
+    record = cube(WIDE, [Echo((9.0, 0, 0))], noise_w=1e-12)
+    frame = replace(process(record), warnings=("told",))
+    target, bursts = CalibrationTarget(9.0, 1.0), [(1, record, frame), (2, record, frame)]
+    several = RadarCalibration.of(bursts, target).warnings
+    assert several[:2] == ("record 1: told", "record 2: told")
+    assert RadarCalibration.of(bursts[:1], target).warnings[0] == "told"
