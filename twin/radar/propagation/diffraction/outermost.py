@@ -34,6 +34,9 @@ Indices = NDArray[np.int64]
 
 _PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of an object
+_LONG = (
+    64  # pieces of an edge, from which on it ends where others cross it, not with the next piece
+)
 #: Gap between a rim and what goes on before or behind it, times the sum of the inverse distances
 #: from the source to the nearer and from the farther to the point: from there on waves pass between
 #: both: of objects that touch, and of others, whose waves over both edges are known.
@@ -313,7 +316,7 @@ def _pieces(
     count = np.maximum(np.ceil(parts), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    crossed, share = crossings(rim, np.flatnonzero(count > 1), others)
+    crossed, share = crossings(rim, np.flatnonzero(count >= _LONG), others)
     begins = np.unique(
         np.stack([np.append(edge, crossed), np.append(piece / count[edge], share)], axis=1), axis=0
     )
