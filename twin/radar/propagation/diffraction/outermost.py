@@ -10,16 +10,14 @@ counts. Where one rim passes below another both end, and the light is between th
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from twin.geometry.near_boxes import near_pairs
-from twin.radar.propagation.diffraction.rim_crossings import crossings
-from twin.radar.propagation.diffraction.rims import unsure_m
+from twin.radar.propagation.diffraction.rim_pieces import PIECE, STEPS, WIDEST, Pieces, piece_m
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
@@ -32,11 +30,6 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
-_PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
-_MOST_PIECES = 256, 2**15  # of an edge, and of an object
-_LONG = (
-    64  # pieces of an edge, from which on it ends where others cross it, not with the next piece
-)
 #: Gap between a rim and what goes on before or behind it, times the sum of the inverse distances
 #: from the source to the nearer and from the farther to the point: from there on waves pass between
 #: both: of objects that touch, and of others, whose waves over both edges are known.
@@ -46,70 +39,9 @@ _APART, _APART_SINGLY = 0.3, 0.1
 _GROUND, _LOW = 4.0, 0.3
 #: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
-#: How far aside rays look at most, of the same root, and at how many distances.
-_WIDEST, _STEPS = 0.1, 4
 _MEET = 3.0  # pieces: angle between two ends of rims where one passes below the other
 _AROUND = 8  # pieces next to each, that may be on one line of sight with it
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
-
-
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """Pieces of outlines, (n,): of each the ``edge`` and its number there, ``piece``, of ``count``;
-    the ``group`` of its object; its unit vector of ``sight`` (n, 3); and at distances aside,
-    (n, steps), from which distance of points on what is met there hides it, inf: never, NaN: not
-    known yet.
-    """
-
-    outline: Outline
-    edge: Indices
-    piece: Indices
-    count: Indices
-    group: Indices
-    sight: Array
-    aside_m: Array
-    from_m: Array
-
-    @staticmethod
-    def of(rim: Outline, others: list[Outline], group: int, wavelength_m: float) -> "_Pieces":
-        """Of an outline, which it and others may cross, nothing known yet."""
-        pieces, edge, piece, count = _pieces(rim, others, wavelength_m)
-        middle = pieces.ends.mean(axis=1)
-        sight = middle / lengths(middle)[:, None]
-        aside_m = _aside_m(middle, wavelength_m)
-        unknown, groups = np.full_like(aside_m, np.nan), np.full(len(edge), group)
-        return _Pieces(pieces, edge, piece, count[edge], groups, sight, aside_m, unknown)
-
-    def take(self, which: Indices) -> "_Pieces":
-        """Only some of them, by index."""
-        rest = (getattr(self, f.name)[which] for f in fields(_Pieces)[1:])
-        return _Pieces(self.outline.take(which), *rest)
-
-    @staticmethod
-    def together(parts: "list[_Pieces]") -> "_Pieces":
-        """As of one outline, with edges and corners numbered anew."""
-        first = np.cumsum([0, *(int(part.edge.max(initial=-1)) + 1 for part in parts)])
-        parts = [replace(part, edge=part.edge + n) for part, n in zip(parts, first, strict=False)]
-        names = [f.name for f in fields(_Pieces)[1:]]
-        rest = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return _Pieces(Outline.together([part.outline for part in parts]), *rest)
-
-    @cached_property
-    def middle(self) -> Array:
-        """From the source, (n, 3)."""
-        middle: Array = (self.outline.ends[:, 0] + self.outline.ends[:, 1]) / 2
-        return middle
-
-    @cached_property
-    def distance_m(self) -> Array:
-        """From the source, (n,)."""
-        return lengths(self.middle)
-
-    @cached_property
-    def longest(self) -> float:
-        """As an angle."""
-        side = self.outline.ends[:, 1] - self.outline.ends[:, 0]
-        return float(np.max(lengths(side) / self.distance_m, initial=0.0))
 
 
 class OuterRims:
@@ -138,7 +70,7 @@ class OuterRims:
         rest = np.setdiff1d(np.arange(len(items)), alone)
         self._group[rest] = bodies_of([items[k] for k in rest])
         self._around: dict[int, tuple[Indices, Indices]] = {}
-        self._pieces: dict[tuple[int, int], _Pieces] = {}
+        self._pieces: dict[tuple[int, int], Pieces] = {}
         self._groups: dict[tuple[int, int], _Group] = {}
 
     def of(self, item: int, reach_m: float, own: int = -1) -> Outline:
@@ -173,7 +105,7 @@ class OuterRims:
         beside: dict[int, Indices] = {}
         for other in np.setdiff1d(close, members).tolist() if tree.n else ():
             rest = self._of(other, own)
-            size = 2 * _MEET * _PIECE * np.sqrt(self._wavelength_m / rest.distance_m)
+            size = 2 * _MEET * PIECE * np.sqrt(self._wavelength_m / rest.distance_m)
             reach = size.max(initial=0) + (longest + rest.longest) / 2
             near = np.isfinite(tree.query(rest.sight, distance_upper_bound=reach)[0])
             if near.any():
@@ -182,11 +114,11 @@ class OuterRims:
         parts |= {other: self._of(other, own).take(rows) for other, rows in beside.items()}
         return _Group({k: parts[k] for k in sorted(parts)}, self._wavelength_m)
 
-    def _of(self, item: int, own: int) -> _Pieces:
+    def _of(self, item: int, own: int) -> Pieces:
         own = own if own in self._owner[self._close[item]] else -1
         if (item, own) not in self._pieces:
             others = [self._outline(k) for k in (item, *self._close[item].tolist())]
-            self._pieces[item, own] = _Pieces.of(
+            self._pieces[item, own] = Pieces.of(
                 others[0], others, int(self._group[item]), self._wavelength_m
             )
         return self._pieces[item, own]
@@ -204,15 +136,15 @@ class OuterRims:
             for (item, rows), from_m in zip(new.items(), found, strict=True):
                 self._of(item, own).from_m[rows] = from_m
 
-    def _hidden_from_m(self, items: list[int], own: int, parts: list[_Pieces]) -> list[Array]:
+    def _hidden_from_m(self, items: list[int], own: int, parts: list[Pieces]) -> list[Array]:
         """Pieces of each object by itself or what is close to it, but for parts of a body."""
         is_part = np.zeros((len(items), len(self._prepared.originals)), dtype=bool)
         for row, item in enumerate(items):
             is_part[row, [item, *self._close[item]]] = True
         is_part[:, : len(self._owner)] &= (self._owner != own) | (own < 0)
-        every, sizes = _Pieces.together(parts), [len(part.edge) for part in parts]
+        every, sizes = Pieces.together(parts), [len(part.edge) for part in parts]
         towards = every.middle[:, None] + every.aside_m[..., None] * every.outline.lit[:, None]
-        which = np.repeat(np.arange(len(items)), sizes).repeat(_STEPS)
+        which = np.repeat(np.arange(len(items)), sizes).repeat(STEPS)
         met_m, what = _first_met(
             self._prepared, is_part, which, self._source, towards.reshape(-1, 3)
         )
@@ -234,12 +166,12 @@ class OuterRims:
 class _Group:
     """Pieces of outlines on the same lines of sight, by object."""
 
-    def __init__(self, parts: dict[int, _Pieces], wavelength_m: float) -> None:
+    def __init__(self, parts: dict[int, Pieces], wavelength_m: float) -> None:
         # Some something before them hides from all points.
         every = [part.take(np.flatnonzero(part.from_m[:, 0] > 0)) for part in parts.values()]
         self._edges = [int(part.edge.max(initial=-1)) + 1 for part in every]
         self._objects = list(parts)
-        self._pieces, self._wavelength_m = _Pieces.together(every), wavelength_m
+        self._pieces, self._wavelength_m = Pieces.together(every), wavelength_m
         self._far, self._near, self._one_from_m = _behind_others(self._pieces)
         self._depths_m = np.unique(np.append(self._pieces.from_m, self._one_from_m))
         self._at: dict[int, dict[int, Outline]] = {}
@@ -293,7 +225,7 @@ def _close(boxes: Array, alone: Indices, wavelength_m: float) -> list[Indices]:
     behind them, but for those that stand alone.
     """
     farthest_m = np.abs(boxes).max(axis=(1, 2))[:, None, None]
-    aside_m = _WIDEST * np.sqrt(wavelength_m * farthest_m) * [[-1.0], [1.0]]
+    aside_m = WIDEST * np.sqrt(wavelength_m * farthest_m) * [[-1.0], [1.0]]
     deep = np.concatenate([boxes, (1 + _APART) * boxes], axis=1)
     deep = np.stack([deep.min(axis=1), deep.max(axis=1)], axis=1) + aside_m
     pairs = near_pairs(deep)[0]
@@ -301,37 +233,6 @@ def _close(boxes: Array, alone: Indices, wavelength_m: float) -> list[Indices]:
     both = np.concatenate([pairs, pairs[:, ::-1]])
     both = both[np.lexsort(both.T[::-1])]
     return np.split(both[:, 1], np.searchsorted(both[:, 0], np.arange(1, len(boxes))))
-
-
-def _pieces(
-    rim: Outline, others: list[Outline], wavelength_m: float
-) -> tuple[Outline, Indices, Indices, Indices]:
-    """Short pieces of edges, none of which goes on past a crossing with another edge; of each the
-    edge and its number there; and of edges how many.
-    """
-    side = rim.ends[:, 1] - rim.ends[:, 0]
-    size = _piece_m(rim.ends.mean(axis=1), wavelength_m)
-    parts = np.minimum(np.linalg.norm(side, axis=1) / size, _MOST_PIECES[0])
-    parts *= min(_MOST_PIECES[1] / max(parts.sum(), 1), 1)
-    count = np.maximum(np.ceil(parts), 1).astype(np.int64)
-    edge = np.repeat(np.arange(len(count)), count)
-    piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    crossed, share = crossings(rim, np.flatnonzero(count >= _LONG), others)
-    begins = np.unique(
-        np.stack([np.append(edge, crossed), np.append(piece / count[edge], share)], axis=1), axis=0
-    )
-    edge, begin = begins[:, 0].astype(np.int64), begins[:, 1]
-    count = np.bincount(edge, minlength=len(count))
-    piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    end = np.where(piece + 1 < count[edge], np.append(begin[1:], 1.0), 1.0)
-    return _part(rim, edge, begin, end), edge, piece, count
-
-
-def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:
-    """Of edges (n,) the part between two shares of their lengths."""
-    some = rim.take(edge)
-    first, side = some.ends[:, :1], some.ends[:, 1:] - some.ends[:, :1]
-    return replace(some, ends=first + np.stack([begin, end], axis=1)[..., None] * side)
 
 
 def _first_met(
@@ -361,15 +262,6 @@ def _first_met(
     return met, what
 
 
-def _aside_m(middle: Array, wavelength_m: float) -> Array:
-    """Distances aside of places (n, 3) on rims where rays look, (n, steps)."""
-    nearest = unsure_m(middle)
-    widest = _WIDEST / _PIECE * _piece_m(middle, wavelength_m)
-    share = np.arange(_STEPS) / (_STEPS - 1)
-    aside: Array = nearest[:, None] * np.maximum(widest / nearest, 1)[:, None] ** share
-    return aside
-
-
 def _one_from_m(one_m: Array, other_m: Array, apart: Array) -> Array:
     """Distance of points from which on what stands at two distances from the source, one before the
     other, has one outline, by the gap over distance that sets both apart; inf: never.
@@ -383,14 +275,14 @@ def _one_from_m(one_m: Array, other_m: Array, apart: Array) -> Array:
 
 def _room_m(aside_m: Array, is_met: Flags) -> Array:
     """How far aside of pieces of rims, (n,), the body does not go on: 0 within its outline."""
-    steps = np.where(is_met.any(axis=1), is_met.argmax(axis=1), _STEPS)
+    steps = np.where(is_met.any(axis=1), is_met.argmax(axis=1), STEPS)
     bounds = np.hstack([np.zeros((len(aside_m), 1)), aside_m])
-    bounds[steps == _STEPS, -1] = np.inf
+    bounds[steps == STEPS, -1] = np.inf
     room: Array = np.take_along_axis(bounds, steps[:, None], axis=1)[:, 0]
     return room
 
 
-def _behind_others(some: _Pieces) -> tuple[Indices, Indices, Array]:
+def _behind_others(some: Pieces) -> tuple[Indices, Indices, Array]:
     """Pieces on the line of sight to others that are nearer, or the same, (n,), and these; and from
     which distance of points on both are one.
     """
@@ -416,7 +308,7 @@ def _behind_others(some: _Pieces) -> tuple[Indices, Indices, Array]:
     return far, near, _one_from_m(distance[near], distance[far], apart)
 
 
-def _runs(pieces: _Pieces, room_m: Array) -> tuple[Outline, Indices]:
+def _runs(pieces: Pieces, room_m: Array) -> tuple[Outline, Indices]:
     """Pieces of one edge that follow each other as one, and the edge of each; those without room
     are left out. Ends within an edge are corners of their own.
     """
@@ -445,14 +337,9 @@ def _joined(rim: Outline, wavelength_m: float) -> Outline:
     length = np.linalg.norm(ends, axis=1)
     sight = ends / length[:, None]
     angle, other = (x[:, 1] for x in cKDTree(sight).query(sight, 2))
-    is_met = angle < _MEET * _piece_m(ends, wavelength_m) / length
+    is_met = angle < _MEET * piece_m(ends, wavelength_m) / length
     lit = aside[is_loose]
     between = np.where(is_met[:, None], lit + lit[other], lit)
     aside[is_loose] = between / np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-300)
     past[is_loose] = np.where(is_met[:, None], ends[other], ends)
     return replace(rim, aside=aside, past=past)
-
-
-def _piece_m(place: Array, wavelength_m: float) -> Array:
-    size: Array = _PIECE * np.sqrt(wavelength_m * np.linalg.norm(place, axis=1))
-    return size
