@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hardware.recording import Log, Received
-from hardware.recording.reading import Ending
+from hardware.recording.ending import Ending
 from hardware.sources import Records, open_source
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from hardware.drivers.clock import ClockFilter
 from hardware.errors import InputError
-from hardware.recording.reading import Ending, Received, read_records
+from hardware.recording.ending import Ending
+from hardware.recording.reading import Received, read_records
 
 if TYPE_CHECKING:
     from hardware.drivers import SpiSettings

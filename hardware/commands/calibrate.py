@@ -77,7 +77,7 @@ def calibrate_radar(
     sensor.
     """
     from hardware.calibration import CalibrationTarget, RadarCalibration, write_calibration
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
 
     _check_positive(distance=distance, cross_section=cross_section)
     target = CalibrationTarget(distance, cross_section)

@@ -55,8 +55,8 @@ def capture(
     from hardware.capture import capture as run
     from hardware.interruption import asked_to_end
     from hardware.recording import Log
+    from hardware.recording.ending import Ending
     from hardware.recording.mounting import read_mounting
-    from hardware.recording.reading import Ending
 
     if not duration > 0:
         raise InputError(f"--duration: {duration:g} s, expected more than 0 s")

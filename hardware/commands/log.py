@@ -30,7 +30,7 @@ def replay(
     speed: Annotated[float, typer.Option(help="Times the recorded pace.")] = 1.0,
 ) -> None:
     """Replay a log at its recorded pace, with one line for each record."""
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
     from hardware.sources import replay as play
 
     first_ns, ending = None, Ending()
@@ -50,7 +50,8 @@ def replay(
 
 def info(say: Output, path: Annotated[Path, typer.Argument(help="A log.")]) -> None:
     """Print the contents of a log."""
-    from hardware.recording.reading import Ending, read_messages, with_records
+    from hardware.recording.ending import Ending
+    from hardware.recording.reading import read_messages, with_records
     from hardware.records import SpiRecord
     from hardware.records.spi import exposures_between
 
@@ -137,7 +138,7 @@ def export(
     transmitters are in the description.
     """
     from hardware.recording import read_records
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
     from hardware.records import RadarRecord
     from hardware.records.sigmf import export_sigmf
 

@@ -97,7 +97,7 @@ def process(
     from hardware.processing import process as process_record
     from hardware.reconstruction import method_of
     from hardware.recording import Log
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
     from hardware.sliding_images import SlidingImages
     from hardware.tracks import RadarTracks
 
@@ -241,8 +241,8 @@ def _motion_of_tracks(source: str, rig: Path | None) -> "MotionOfTracks":
     where it is unknown how these are mounted.
     """
     from hardware.motion_of_tracks import MotionOfTracks
+    from hardware.recording.ending import Ending
     from hardware.recording.mounting import RADAR, SPI, Mounting, logged_mounting, read_mounting
-    from hardware.recording.reading import Ending
 
     given, logged = read_mounting(rig) if rig else Mounting(), Mounting()
     path, ending = log_of(source), Ending()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hardware.radar.burst import DemodulatedBurst
     from hardware.radar.settings import Processing
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
     from hardware.records import RadarRecord
     from hardware.waveform import OfdmWaveform
 
@@ -217,7 +217,7 @@ def spectrogram(
     from hardware.radar import spectrogram_of_intervals
     from hardware.radar.output import write_png, write_spectrogram
     from hardware.radar.spectrogram import FALSE_ALARM
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
 
     over_all = record.suffix == ".mcap" and burst is None
     if over_all and window_slots is not None:

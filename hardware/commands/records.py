@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hardware.drivers import SpiSettings
     from hardware.drivers.radio import Schedule
     from hardware.recording import Received
-    from hardware.recording.reading import Ending
+    from hardware.recording.ending import Ending
     from hardware.records import RadarFrontEnd
 
 #: Exit status of a command that succeeded on the intact part of a damaged log.

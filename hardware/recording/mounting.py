@@ -11,9 +11,10 @@ import numpy as np
 from hardware.errors import InputError
 from hardware.files import read_toml
 from hardware.recording.cdr import Reader
+from hardware.recording.ending import Ending
 from hardware.recording.kinds import KINDS
 from hardware.recording.poses import transforms
-from hardware.recording.reading import Ending, LoggedMessage, read_messages
+from hardware.recording.reading import LoggedMessage, read_messages
 from hardware.recording.ros import CAMERA_INFO, TRANSFORMS
 from hardware.records import QuaternionPose
 

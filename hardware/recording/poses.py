@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from hardware.errors import InputError
 from hardware.recording.cdr import Reader
-from hardware.recording.reading import Ending, LoggedMessage, read_messages
+from hardware.recording.ending import Ending
+from hardware.recording.reading import LoggedMessage, read_messages
 from hardware.records.state import QuaternionPose
 
 

@@ -15,7 +15,8 @@ from mcap.writer import CompressionType, Writer
 
 from hardware.errors import InputError
 from hardware.files import is_held, place_beside
-from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all, with_records
+from hardware.recording.ending import Ending
+from hardware.recording.reading import Beside, LoggedMessage, read_all, with_records
 
 #: Name of the metadata that stand where data were lost between messages.
 LOST = "lost"

@@ -28,8 +28,8 @@ from hardware.drivers.radio.setup import read_setup, write_setup
 from hardware.drivers.settings import read_settings
 from hardware.radar import OfdmWaveform
 from hardware.recording import Log, read_records
+from hardware.recording.ending import Ending
 from hardware.recording.kinds import Record
-from hardware.recording.reading import Ending
 from hardware.records import Flag, QuaternionPose, RadarFrontEnd, RadarRecord
 
 

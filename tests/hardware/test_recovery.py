@@ -16,7 +16,8 @@ from mcap.writer import Writer
 from hardware import PatternSet
 from hardware.errors import InputError
 from hardware.recording import Log, read_messages, read_records, recover
-from hardware.recording.reading import Ending, read_all
+from hardware.recording.ending import Ending
+from hardware.recording.reading import read_all
 from hardware.recording.recovery import LOST
 
 

@@ -26,7 +26,8 @@ from hardware.errors import InputError
 from hardware.files import is_held, naming, whole_file
 from hardware.formatting import counted
 from hardware.recording import Log
-from hardware.recording.reading import Beside, Ending, LoggedMessage, read_all
+from hardware.recording.ending import Ending
+from hardware.recording.reading import Beside, LoggedMessage, read_all
 from hardware.recording.recovery import LOST, path_of_damaged
 from hardware.recording.ros import Definition
 from twin.drive.truth import CLOCK, Mark

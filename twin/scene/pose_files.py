@@ -94,8 +94,8 @@ def read_pose_csv(path: Path) -> tuple[PoseTable, list[str]]:
 
 def read_pose_log(path: Path, topic: str, child: str) -> tuple[PoseTable, list[str]]:
     """Poses from a log, and warnings about it; see `hardware.recording.poses.read_poses`."""
+    from hardware.recording.ending import Ending
     from hardware.recording.poses import read_poses
-    from hardware.recording.reading import Ending
 
     ending = Ending()
     try:
