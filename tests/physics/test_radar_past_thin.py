@@ -5,9 +5,19 @@ float32 can tell: against Fresnel's integrals over both edges.
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 from scipy.special import fresnel
 
-from tests.physics.radar_worlds import CARRIER_HZ, RADAR, WAVELENGTH_M, quad, thing, world
+from tests.physics.radar_worlds import (
+    CARRIER_HZ,
+    RADAR,
+    WAVELENGTH_M,
+    paths_of,
+    quad,
+    thing,
+    wave,
+    world,
+)
 from twin.radar.propagation.solvers import trace
 from twin.scene import SceneObject, Target
 
@@ -70,3 +80,24 @@ def test_beside_a_slit_it_is_dark(slit_m: float, beside_m: float) -> None:
     sheets = thing("sheets", corners, faces, radar="obstacle")
     through = past(-slit_m - side_m, 5.0) - past(-side_m, 5.0)
     assert echo(sheets) == pytest.approx(through**2, abs=0.02)
+
+
+def test_behind_the_middle_of_a_finely_divided_post_it_is_as_dark_as_of_a_plain_one() -> None:
+    """Rays along a joint of triangles slipped through at every third place: 2.5 times the echo in
+    free space for 0.4. The scene is turned, so that corners are rounded.
+    """
+    turn = Rotation.from_euler("ZY", [0.1612, 0.0472]).as_matrix()
+    sides, ends = (-0.0197, 0.0197), (-2.45, 1.1425)
+    corners = [[2.717, sides[j], ends[k]] for j, k in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    plain = trimesh.Trimesh(corners, [[0, 2, 1], [0, 3, 2]], process=False)
+    fine = plain.subdivide().subdivide()
+    targets = tuple(
+        Target(str(z), tuple(turn @ [6.0, 0.0, z]), (0.0, 0.0, 0.0), 1.0, "declared")
+        for z in np.arange(-0.02, 0.02, 0.001)
+    )
+    waves = []
+    for mesh in (plain, fine):
+        post = thing("post", mesh.vertices @ turn.T, mesh.faces, radar="obstacle")
+        found = trace(world(post, targets=targets), RADAR)
+        waves.append([wave(paths_of(found, lambda p, t=t: p.target == t.name)) for t in targets])
+    assert waves[1] == pytest.approx(waves[0], rel=1e-3)

@@ -3,7 +3,7 @@
 from twin.geometry.edges import EdgeTable, connected, doubles, edge_table
 from twin.geometry.faces import planes
 from twin.geometry.geometry import Geometry
-from twin.geometry.mitsuba_meshes import are_too_large, divided, mitsuba_mesh
+from twin.geometry.mitsuba_meshes import are_too_large, divided, mitsuba_mesh, scene_of_shapes
 from twin.geometry.shape import Shape, shapes_of
 
 __all__ = [
@@ -17,5 +17,6 @@ __all__ = [
     "edge_table",
     "mitsuba_mesh",
     "planes",
+    "scene_of_shapes",
     "shapes_of",
 ]

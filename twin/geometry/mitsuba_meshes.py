@@ -1,5 +1,6 @@
 """Triangles as Mitsuba takes them: in float32, none too large for its distance."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,18 @@ def mitsuba_mesh(
         parameters["vertex_texcoords"] = uv.astype(np.float32).ravel()
     parameters.update()
     return shape
+
+
+def scene_of_shapes(mi: Any, shapes: Mapping[str, Any]) -> Any:
+    """A Mitsuba scene of shapes by their names, where no ray slips through joints of triangles.
+
+    With Embree's fast intersections a quarter of the rays at 89.99 degrees does, and one exactly
+    along a joint may.
+    """
+    settings: dict[str, Any] = {"type": "scene"}
+    if mi.variant().startswith("llvm"):
+        settings["embree_use_robust_intersections"] = True
+    return mi.load_dict({**settings, **shapes})
 
 
 def are_too_large(vertices_m: Array, faces: NDArray[np.integer]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba
-from twin.geometry import Geometry, divided, mitsuba_mesh
+from twin.geometry import Geometry, divided, mitsuba_mesh, scene_of_shapes
 from twin.scene.model import Array, Scene
 from twin.scene.texture import Reflectance, Texture
 
@@ -41,12 +41,7 @@ def first_hits(meshes: Sequence[Geometry], origins: Array, rays: Array) -> Array
 def _assemble(parts: Sequence[tuple[Array, NDArray[np.int32], Array | None, Reflectance]]) -> Any:
     """Of vertices, faces, texture coordinates and reflectance of each shape."""
     shapes = {f"object_{i}": _shape(*part) for i, part in enumerate(parts)}
-    mi = mitsuba()
-    settings: dict[str, Any] = {"type": "scene"}
-    if mi.variant().startswith("llvm"):
-        # Else rays slip through where triangles join: a quarter of them at 89.99 deg.
-        settings["embree_use_robust_intersections"] = True
-    return mi.load_dict({**settings, **shapes})
+    return scene_of_shapes(mitsuba(), shapes)
 
 
 def _shape(

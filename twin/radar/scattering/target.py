@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.engine import mitsuba_of_radar
 from twin.errors import InputError
-from twin.geometry import Geometry, mitsuba_mesh
+from twin.geometry import Geometry, mitsuba_mesh, scene_of_shapes
 from twin.radar.scattering.surface import PEC, LayeredSurface
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class TargetScene:
         # Rays are traced relative to the centre: float32 keeps what the mesh is, not where it is.
         vertices = geometry.vertices_m - center
         shape = mitsuba_mesh(mi, vertices, geometry.faces, name="target")
-        self.scene = mi.load_dict({"type": "scene", "target": shape})
+        self.scene = scene_of_shapes(mi, {"target": shape})
         self.center_m = center
         # A point of the plane and its normal, six numbers per face.
         planes = np.hstack([vertices[geometry.faces[:, 0]], geometry.normals])

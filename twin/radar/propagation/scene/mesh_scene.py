@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.engine import mitsuba_of_radar
-from twin.geometry import Geometry, divided, mitsuba_mesh, planes
+from twin.geometry import Geometry, divided, mitsuba_mesh, planes, scene_of_shapes
 from twin.scene import SceneObject
 from twin.scene.objects import IN_PLACE
 
@@ -118,7 +118,7 @@ class MeshScene:
         mi = mitsuba_of_radar()
         if self.scene is None:
             mesh = mitsuba_mesh(mi, self.vertices, self.faces, name="world")
-            self.scene = mi.load_dict({"type": "scene", "world": mesh})
+            self.scene = scene_of_shapes(mi, {"world": mesh})
             self.parameters = mi.traverse(self.scene)
             self.parameters.keep([r".*vertex_positions"])
             self.object_index = mi.UInt32(self.object_of_face)
