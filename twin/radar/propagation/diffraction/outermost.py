@@ -40,6 +40,7 @@ _GROUND, _LOW = 4.0, 0.3
 #: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 _MEET = 3.0  # pieces: angle between two ends of rims where one passes below the other
+_MEETING = 4  # ends of rims next to each, itself among them, that may belong to it
 _AROUND = 8  # pieces next to each, that may be on one line of sight with it
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
 
@@ -193,7 +194,7 @@ class _Group:
 
     def _outlines(self, room_m: Array) -> dict[int, Outline]:
         runs, edge = _runs(self._pieces, room_m)
-        runs = _joined(runs, self._wavelength_m)
+        runs = _joined(runs, edge, self._wavelength_m)
         first = np.searchsorted(edge, np.cumsum(self._edges)[:-1])
         rows = np.split(np.arange(len(edge)), first)
         return {item: runs.take(some) for item, some in zip(self._objects, rows, strict=True)}
@@ -327,17 +328,22 @@ def _runs(pieces: Pieces, room_m: Array) -> tuple[Outline, Indices]:
     return replace(runs, room_m=room), pieces.edge[first]
 
 
-def _joined(rim: Outline, wavelength_m: float) -> Outline:
-    """With the light beside ends where two rims cross between both, past which waves pass."""
+def _joined(rim: Outline, edge: Indices, wavelength_m: float) -> Outline:
+    """With the light beside ends where two rims cross between both, past which waves pass; of ends
+    of one edge, (n,), over a gap each belongs to another rim.
+    """
     _, number, count = np.unique(rim.corner, return_inverse=True, return_counts=True)
     is_loose = count[number.reshape(rim.corner.shape)] == 1
     ends, aside, past = rim.ends[is_loose], rim.aside.copy(), rim.past.copy()
     if len(ends) < 2:
         return rim
-    length = np.linalg.norm(ends, axis=1)
+    length, edge = np.linalg.norm(ends, axis=1), edge[np.nonzero(is_loose)[0]]
     sight = ends / length[:, None]
-    angle, other = (x[:, 1] for x in cKDTree(sight).query(sight, 2))
-    is_met = angle < _MEET * piece_m(ends, wavelength_m) / length
+    angles, others = cKDTree(sight).query(sight, np.arange(1, min(len(ends), _MEETING) + 1))
+    is_other = edge[others] != edge[:, None]
+    nearest, rows = is_other.argmax(axis=1), np.arange(len(ends))
+    angle, other = angles[rows, nearest], others[rows, nearest]
+    is_met = is_other.any(axis=1) & (angle < _MEET * piece_m(ends, wavelength_m) / length)
     lit = aside[is_loose]
     between = np.where(is_met[:, None], lit + lit[other], lit)
     aside[is_loose] = between / np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-300)

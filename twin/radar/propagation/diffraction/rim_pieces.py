@@ -17,7 +17,7 @@ Indices = NDArray[np.int64]
 PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of an object
 #: Pieces of an edge, from which on it ends where others cross it, not with the next piece.
-_LONG = 64
+_LONG = 2
 #: How far aside rays look at most, of the same root, and at how many distances.
 WIDEST, STEPS = 0.1, 4
 
