@@ -18,10 +18,11 @@ from scipy.spatial import cKDTree
 
 from twin.geometry.near_boxes import near_pairs
 from twin.radar.propagation.diffraction.rim_pieces import PIECE, STEPS, WIDEST, Pieces, piece_m
+from twin.radar.propagation.diffraction.rims import unsure_m
 from twin.radar.propagation.meshes.grouping import bodies_of
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.propagation.prepared_scene import PreparedScene
-from twin.radar.rows import lengths
+from twin.radar.rows import dots, lengths
 from twin.scene import SceneObject
 from twin.scene.boxes import boxes_of
 from twin.transfer import host, vector
@@ -40,8 +41,11 @@ _GROUND, _LOW = 4.0, 0.3
 #: Of a way, and besides, by which rays go on behind an object that does not count.
 _ON, _ON_M = 1e-5, 1e-4
 _MEET = 3.0  # pieces: angle between two ends of rims where one passes below the other
-_MEETING = 4  # ends of rims next to each, itself among them, that may belong to it
+_MEETING = 6  # ends of rims next to each, itself among them, that may belong to it
+_ASKEW = 0.1  # sine of the angle at which they meet, at least
 _AROUND = 8  # pieces next to each, that may be on one line of sight with it
+_SAME = 1e-9  # of a distance, by which rims at one place may differ
+_OPPOSITE = 0.5  # cosine between directions at corners that touch, at least
 _ALIKE = 0.9  # cosine between directions across rims one behind the other
 
 
@@ -194,7 +198,7 @@ class _Group:
 
     def _outlines(self, room_m: Array) -> dict[int, Outline]:
         runs, edge = _runs(self._pieces, room_m)
-        runs = _joined(runs, edge, self._wavelength_m)
+        runs = _joined(_past_corners(runs), self._wavelength_m)
         first = np.searchsorted(edge, np.cumsum(self._edges)[:-1])
         rows = np.split(np.arange(len(edge)), first)
         return {item: runs.take(some) for item, some in zip(self._objects, rows, strict=True)}
@@ -295,9 +299,10 @@ def _behind_others(some: Pieces) -> tuple[Indices, Indices, Array]:
     around = cKDTree(sight).query(sight, range(1, _AROUND + 1), distance_upper_bound=reach)[1]
     first, rank = np.nonzero((around < len(sight)) & (around != np.arange(len(sight))[:, None]))
     pairs = np.stack([first, around[first, rank]], axis=1)
+    one, other = np.sort(pairs, axis=1).T
+    is_behind = _depth_m(some, one, sight[other]) > (1 + _SAME) * distance[other]
     # Of two at one place the first is the nearer one.
-    order = np.lexsort((np.arange(len(distance)), distance)).argsort()
-    near, far = np.where(order[pairs[:, :1]] < order[pairs[:, 1:]], pairs, pairs[:, ::-1]).T
+    near, far = np.where(is_behind, other, one), np.where(is_behind, one, other)
     apart = sight[far] - sight[near]
     along = np.abs(np.sum(apart * side[near], axis=1)) / np.linalg.norm(side[near], axis=1)
     across = np.abs(np.sum(apart * lit[near], axis=1))
@@ -307,6 +312,14 @@ def _behind_others(some: Pieces) -> tuple[Indices, Indices, Array]:
     touches = some.group[near] == some.group[far]
     apart = np.where(touches, _APART, _APART_SINGLY)
     return far, near, _one_from_m(distance[near], distance[far], apart)
+
+
+def _depth_m(some: Pieces, which: Indices, sight: Array) -> Array:
+    """How far from the source the lines of some pieces, (n,), are next to lines of sight (n, 3)."""
+    side, middle = some.outline.ends[which, 1] - some.outline.ends[which, 0], some.middle[which]
+    across = side - dots(side, sight)[:, None] * sight
+    share = -dots(middle, across) / np.maximum(dots(across, across), 1e-300)
+    return dots(middle + share[:, None] * side, sight)
 
 
 def _runs(pieces: Pieces, room_m: Array) -> tuple[Outline, Indices]:
@@ -328,24 +341,53 @@ def _runs(pieces: Pieces, room_m: Array) -> tuple[Outline, Indices]:
     return replace(runs, room_m=room), pieces.edge[first]
 
 
-def _joined(rim: Outline, edge: Indices, wavelength_m: float) -> Outline:
-    """With the light beside ends where two rims cross between both, past which waves pass; of ends
-    of one edge, (n,), over a gap each belongs to another rim.
-    """
+def _joined(rim: Outline, wavelength_m: float) -> Outline:
+    """With the light beside ends where two rims cross between both, past which waves pass."""
     _, number, count = np.unique(rim.corner, return_inverse=True, return_counts=True)
-    is_loose = count[number.reshape(rim.corner.shape)] == 1
-    ends, aside, past = rim.ends[is_loose], rim.aside.copy(), rim.past.copy()
-    if len(ends) < 2:
-        return rim
-    length, edge = np.linalg.norm(ends, axis=1), edge[np.nonzero(is_loose)[0]]
-    sight = ends / length[:, None]
-    angles, others = cKDTree(sight).query(sight, np.arange(1, min(len(ends), _MEETING) + 1))
-    is_other = edge[others] != edge[:, None]
-    nearest, rows = is_other.argmax(axis=1), np.arange(len(ends))
-    angle, other = angles[rows, nearest], others[rows, nearest]
-    is_met = is_other.any(axis=1) & (angle < _MEET * piece_m(ends, wavelength_m) / length)
-    lit = aside[is_loose]
-    between = np.where(is_met[:, None], lit + lit[other], lit)
-    aside[is_loose] = between / np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-300)
-    past[is_loose] = np.where(is_met[:, None], ends[other], ends)
-    return replace(rim, aside=aside, past=past)
+    loose = np.flatnonzero(count[number.ravel()] == 1)
+    ends, aside, past = (x.reshape(-1, 3).copy() for x in (rim.ends, rim.aside, rim.past))
+    reach = _MEET * piece_m(ends[loose], wavelength_m) / lengths(ends[loose])
+    one, other = _crossing(rim, loose, reach)
+    aside[one] = _between(aside[one], aside[other])
+    past[one] = ends[other]
+    return replace(rim, aside=aside.reshape(rim.aside.shape), past=past.reshape(rim.past.shape))
+
+
+def _past_corners(rim: Outline) -> Outline:
+    """With the light beside corners that touch one of another outline, in the light of both as two
+    squares of a chessboard: each edge has it together with the other's that meets it there.
+    """
+    ends, lit, aside = rim.ends.reshape(-1, 3), rim.lit, rim.aside.reshape(-1, 3)
+    one, other = _crossing(rim, np.arange(len(ends)), 3 * unsure_m(ends) / lengths(ends))
+    is_light = dots(aside[one], aside[other]) < -_OPPOSITE
+    one, other = one[is_light], other[is_light]
+    turned = aside.copy()
+    turned[one] = _between(lit[one // 2], lit[other // 2])
+    return replace(rim, aside=turned.reshape(rim.aside.shape))
+
+
+def _crossing(rim: Outline, some: Indices, reach: Array) -> tuple[Indices, Indices]:
+    """Some ends of edges, 2 n and 2 n + 1 those of edge n, and of each the next of another one
+    within an angle (n,) at which both edges lead into the other's light.
+    """
+    ends = rim.ends.reshape(-1, 3)[some]
+    if not len(ends):
+        return some, some
+    sight = ends / lengths(ends)[:, None]
+    number = min(len(ends), _MEETING)
+    angle, place = cKDTree(sight).query(sight, np.arange(1, number + 1))
+    along, lit = rim.lines.along, rim.lit
+    inwards = np.stack([along, -along], axis=1).reshape(-1, 3)
+    one, other = np.repeat(some, number), some[place].ravel()
+    meets = (angle < reach[:, None]).ravel() & (dots(inwards[other], lit[one // 2]) > _ASKEW)
+    meets &= dots(inwards[one], lit[other // 2]) > _ASKEW
+    first = np.flatnonzero(meets)
+    first = first[np.unique(one[first], return_index=True)[1]]
+    return one[first], other[first]
+
+
+def _between(one: Array, other: Array) -> Array:
+    """Unit vectors between others, (n, 3)."""
+    both = one + other
+    between: Array = both / np.maximum(lengths(both), 1e-300)[:, None]
+    return between

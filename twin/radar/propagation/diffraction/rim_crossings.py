@@ -1,5 +1,5 @@
-"""Where edges of outlines cross as seen from a point: there one passes below another, and both may
-end.
+"""Where edges of outlines cross or touch as seen from a point: there one passes below another, and
+both may end.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _ASKEW = 0.1  # sine of the angle between edges that cross, as seen, at least
-_WITHIN = 1e-6  # of an edge: closer to its end it ends there
+_END_M = 1e-4  # of an edge's end: closer to it the edge ends there
+_ON_IT = 1e-6  # radians from an edge: on it
 
 
 def crossings(rim: Outline, edges: Indices, others: Sequence[Outline]) -> tuple[Indices, Array]:
@@ -33,6 +34,7 @@ def _crossings(ends: Array, others: Array, normals: Array) -> tuple[Indices, Arr
     rows, shares = [0 for _ in range(0)], [0.0 for _ in range(0)]
     for i in range(len(ends)):
         begin, side = ends[i, 0], ends[i, 1] - ends[i, 0]
+        least = _END_M / np.sqrt(np.dot(side, side))
         for j in range(len(others)):
             x, y, z = normals[j]
             below = x * begin[0] + y * begin[1] + z * begin[2]
@@ -42,7 +44,7 @@ def _crossings(ends: Array, others: Array, normals: Array) -> tuple[Indices, Arr
             share = -below / slope
             there = begin + share * side
             if not (
-                _WITHIN < share < 1 - _WITHIN
+                least < share < 1 - least
                 and _above(others[j, 0], there, normals[j])
                 and _above(there, others[j, 1], normals[j])
             ):
@@ -50,6 +52,45 @@ def _crossings(ends: Array, others: Array, normals: Array) -> tuple[Indices, Arr
             across = side - np.dot(side, there) / np.dot(there, there) * there
             size = np.sqrt(np.dot(normals[j], normals[j]) * np.dot(across, across))
             if abs(np.dot(normals[j], across)) > _ASKEW * size:
+                rows.append(i)
+                shares.append(share)
+    return np.array(rows), np.array(shares)
+
+
+def beside(
+    rim: Outline, edges: Indices, others: Sequence[Outline], reach_m: Array
+) -> tuple[Indices, Array]:
+    """Of some edges of an outline, by number, those which ends of edges of any outlines are seen
+    beside, in their light up to a reach (n,) or on them, one for each; and the share of its length.
+    """
+    ends, lit = (np.ascontiguousarray(x[edges]) for x in (rim.ends, rim.lit))
+    every = np.unique(np.concatenate([other.ends.reshape(-1, 3) for other in others]), axis=0)
+    row, share = kernel(_beside)(ends, lit, every, reach_m)
+    return edges[row], share
+
+
+def _beside(ends: Array, lit: Array, points: Array, reach_m: Array) -> tuple[Indices, Array]:
+    rows, shares = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    for i in range(len(ends)):
+        begin, side = ends[i, 0], ends[i, 1] - ends[i, 0]
+        # Across it in the plane of the source: sights of places on it are told apart by that.
+        flat = np.cross(lit[i], side)
+        level, least = np.dot(flat, begin), _END_M / np.sqrt(np.dot(side, side))
+        nearest = -_ON_IT * np.sqrt(np.dot(begin, begin))
+        for j in range(len(points)):
+            x, y, z = points[j]
+            height = x * lit[i, 0] + y * lit[i, 1] + z * lit[i, 2]
+            if height < 4 * nearest or height > 4 * reach_m[i]:
+                continue  # whatever its distance: what is close is not four times as far
+            # How far the point's sight meets the edge's line, over where the point is.
+            scale = level / (x * flat[0] + y * flat[1] + z * flat[2])
+            if not (0 < scale < np.inf and nearest <= height * scale <= reach_m[i]):
+                continue
+            along = 0.0
+            for k in range(3):
+                along += (points[j, k] * scale - height * scale * lit[i, k] - begin[k]) * side[k]
+            share = along / np.dot(side, side)
+            if least < share < 1 - least:
                 rows.append(i)
                 shares.append(share)
     return np.array(rows), np.array(shares)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.radar.propagation.diffraction.rim_crossings import crossings
+from twin.radar.propagation.diffraction.rim_crossings import beside, crossings
 from twin.radar.propagation.diffraction.rims import unsure_m
 from twin.radar.propagation.meshes.silhouettes import Outline
 from twin.radar.rows import lengths
@@ -16,8 +16,7 @@ Indices = NDArray[np.int64]
 
 PIECE = 0.02  # of the root of wavelength and distance: pieces of rims that are hidden or not
 _MOST_PIECES = 256, 2**15  # of an edge, and of an object
-#: Pieces of an edge, from which on it ends where others cross it, not with the next piece.
-_LONG = 2
+_ONE = 1e-6  # of an edge: closer cuts of it are one
 #: How far aside rays look at most, of the same root, and at how many distances.
 WIDEST, STEPS = 0.1, 4
 
@@ -84,8 +83,8 @@ class Pieces:
 def _pieces(
     rim: Outline, others: list[Outline], wavelength_m: float
 ) -> tuple[Outline, Indices, Indices, Indices]:
-    """Short pieces of edges, none of which goes on past a crossing with another edge; of each the
-    edge and its number there; and of edges how many.
+    """Short pieces of edges, none of which goes on past a crossing with another edge, or past the
+    end of one next to it; of each the edge and its number there; and of edges how many.
     """
     side = rim.ends[:, 1] - rim.ends[:, 0]
     size = piece_m(rim.ends.mean(axis=1), wavelength_m)
@@ -94,15 +93,25 @@ def _pieces(
     count = np.maximum(np.ceil(parts), 1).astype(np.int64)
     edge = np.repeat(np.arange(len(count)), count)
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    crossed, share = crossings(rim, np.flatnonzero(count >= _LONG), others)
-    begins = np.unique(
-        np.stack([np.append(edge, crossed), np.append(piece / count[edge], share)], axis=1), axis=0
+    some = np.flatnonzero(count > 1)
+    reach_m = np.maximum(size[some], 3 * unsure_m(rim.ends[some].mean(axis=1)))
+    crossed, at = crossings(rim, some, others)
+    touched, there = beside(rim, some, others, reach_m)
+    begins = np.stack(
+        [np.concatenate([edge, crossed, touched]), np.concatenate([piece / count[edge], at, there])]
     )
-    edge, begin = begins[:, 0].astype(np.int64), begins[:, 1]
+    edge, begin = _once(*begins[:, np.lexsort(begins[::-1])])
     count = np.bincount(edge, minlength=len(count))
     piece = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
     end = np.where(piece + 1 < count[edge], np.append(begin[1:], 1.0), 1.0)
     return _part(rim, edge, begin, end), edge, piece, count
+
+
+def _once(edge: Array, begin: Array) -> tuple[Indices, Array]:
+    """Sorted beginnings of pieces, of those next to each other one."""
+    is_new = np.ones(len(edge), dtype=bool)
+    is_new[1:] = (np.diff(edge) > 0) | (np.diff(begin) > _ONE)
+    return edge[is_new].astype(np.int64), begin[is_new]
 
 
 def _part(rim: Outline, edge: Indices, begin: Array, end: Array) -> Outline:

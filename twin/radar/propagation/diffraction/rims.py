@@ -261,7 +261,7 @@ def _edge_paths(pairs: _Pairs) -> DiffractedPaths:
     # Next to an end, where another rim may begin, the light is between both.
     to_end = np.stack([pairs.at, length[pairs.edge] - pairs.at], axis=1)
     end = to_end.argmin(axis=1)
-    beside_m = _beside_m(pairs, place)
+    beside_m = _beside_m(pairs, place, rim.room_m[pairs.edge])
     is_next = to_end.min(axis=1) < beside_m
     aside = np.where(is_next[:, None], rim.aside[pairs.edge, end], rim.lit[pairs.edge])
     aside *= beside_m[:, None]
@@ -314,7 +314,8 @@ def _paths_over_ends(pairs: _Pairs, faintest: float) -> DiffractedPaths:
     pairs, end = pairs.take(ends.pair), ends.end
     place = rim.ends[pairs.edge, end]
     none, unlit_m = np.zeros_like(pairs.direct), np.full(len(end), np.inf)
-    aside = _beside_m(pairs, place)[:, None] * rim.aside[pairs.edge, end]
+    beside_m = _beside_m(pairs, place, rim.room_at_ends_m[pairs.edge, end])
+    aside = beside_m[:, None] * rim.aside[pairs.edge, end]
     paths = _paths_by(pairs, place, pairs.q + ends.p, none, aside, ends.amplitude, unlit_m)
     inwards = (1 - 2 * end)[:, None] * rim.lines.along[pairs.edge]
     both = np.stack([inwards, rim.onwards[pairs.edge, end]], axis=1)
@@ -382,12 +383,12 @@ def _paths_by(
     )
 
 
-def _beside_m(pairs: _Pairs, place: Array) -> Array:
-    """How far from a place on an obstacle a path passes by it."""
+def _beside_m(pairs: _Pairs, place: Array, room_m: Array) -> Array:
+    """How far from a place on an obstacle, next to room (n,), a path passes by it."""
     there, back = lengths(place), lengths(pairs.direct - place)
     zone: Array = np.sqrt(2 * np.pi / pairs.wavenumber * there * back / (there + back))
     beside_m = np.clip(3 * unsure_m(place), _BESIDE * zone, _FAR_BESIDE * zone)
-    return np.minimum(beside_m, pairs.rim.room_m[pairs.edge] / 2)
+    return np.minimum(beside_m, room_m / 2)
 
 
 def unsure_m(places: Array) -> Array:

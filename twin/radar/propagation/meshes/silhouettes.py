@@ -91,6 +91,13 @@ class Outline:
         room_m = np.full(len(edge), np.inf)
         return Outline(ends, edge, corner, lit, light[number], onwards, ends, room_m)
 
+    @cached_property
+    def room_at_ends_m(self) -> Array:
+        """As ``room_m`` of all edges that end at a corner, (m, 2)."""
+        room_m = np.full(int(self.corner.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(room_m, self.corner, self.room_m[:, None])
+        return room_m[self.corner]
+
     def take(self, which: NDArray[np.integer]) -> "Outline":
         """Only some of them, by index."""
         return Outline(*(getattr(self, f.name)[which] for f in fields(Outline)))
