@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -33,6 +34,18 @@ def pytest_runtest_setup() -> None:
     if "drjit" in sys.modules and _SIDE_BY_SIDE > 1:
         cores = os.cpu_count() or 1
         sys.modules["drjit"].set_thread_count(max(1, cores // _SIDE_BY_SIDE))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of the variants of a test all beyond the first n that ``quick(n)`` names are thorough."""
+    count = Counter[str]()
+    for item in items:
+        if mark := item.get_closest_marker("quick"):
+            test = item.nodeid.partition("[")[0]
+            count[test] += 1
+            if count[test] > mark.args[0]:
+                item.add_marker("thorough")
 
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers beside this file can be imported

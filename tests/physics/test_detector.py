@@ -59,6 +59,7 @@ def test_shot_noise_is_poisson(mean: float) -> None:
     assert_mean_and_variance(draws(QUIET, mean), mean, mean)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("mean", [0.0, 1e-9, 0.1, 0.7, 3.0, 99.5, 999.0, 1001.0, 1e5, 1e8])
 def test_poisson_numbers_are_the_quantiles_of_their_draws(mean: float) -> None:
     """Against SciPy's, of the expansion but for one in 1e4; a little more light gives no less."""

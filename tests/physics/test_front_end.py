@@ -272,6 +272,7 @@ def error_power(found: np.ndarray, wave: OfdmWaveform, delay: int, *, turned: bo
     return float(np.mean(np.abs(ratio - common) ** 2))
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("delay", [0, 3, 17, 100])
 @pytest.mark.parametrize("slope", [False, True])
 def test_range_correlation_is_brute_forces(delay: int, slope: bool) -> None:

@@ -88,6 +88,7 @@ def test_sun_that_no_path_met_is_not_none_at_all() -> None:
     np.testing.assert_allclose(rendered.sun_left_out, swept.sun_left_out)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("dark", [{"sky.illuminance_lx": 0.0}, {"sky.sun_elevation_deg": -5.0}])
 def test_of_no_sun_in_fog_nothing_is_left_out(dark: dict[str, float]) -> None:
     """What is left out of a sun's light in fog has no bound here, per irradiance of the sun; of 0

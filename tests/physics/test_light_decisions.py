@@ -237,6 +237,7 @@ def told(found: Capture, beginning: str) -> Decision:
     return decision
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("field_deg", [20.0, 70.0, 120.0])
 def test_the_shift_of_a_filter_is_told_as_large_as_it_is(field_deg: float) -> None:
     """Also where at the edge of the field the filter passes next to nothing, so that noise in the
@@ -273,6 +274,7 @@ def test_of_cells_that_the_filter_blocks_nothing_is_left_out() -> None:
     assert set(np.unique(power.left_out_w)) == {0.0, math.inf}
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("weather", ["clear-air", "haze"])
 def test_what_air_does_is_told_no_smaller_than_it_is(weather: str) -> None:
     """Extinction and veil against the same light without air: together no less than their change,

@@ -48,6 +48,7 @@ def assert_all_are_warned_of(decisions: Iterable[Decision], warnings: Iterable[s
         assert sum(not decision.body or decision.body in e.split(", ") for e in some) == 1
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(("scene", "system"), CASES)
 def test_of_a_camera_every_missed_effect_is_warned_of(
     scene: str, system: str, tmp_path: Path

@@ -95,6 +95,7 @@ def covered(edge: Array, distance: float, system: System) -> Array:
     return (inner * (wide / 2)[:, None] * half / SIDE).reshape(len(edge), -1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "speed",
     [

@@ -75,6 +75,7 @@ def test_a_plate_behind_a_screen_answers_over_its_edge(height: float) -> None:
     assert decibels(got / pattern(height)) == pytest.approx(decibels(due), abs=0.15)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("turn_deg", [0.0, pytest.param(10.0, marks=pytest.mark.thorough), 35.0])
 @pytest.mark.parametrize("edge_m", [-0.03, 0.0])
 def test_a_box_behind_a_screen_is_kirchhoffs_integral(turn_deg: float, edge_m: float) -> None:
@@ -263,6 +264,7 @@ def _past_the_edge(
     return complex(np.sum(past**2 * own) / np.sum(own))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("seed", [22, 24])
 def test_waves_over_corners_of_a_sheet_are_stated_or_followed(seed: int) -> None:
     """By Kirchhoff's integral along the rim of a sheet in the air: nothing had been stated where
@@ -273,6 +275,7 @@ def test_waves_over_corners_of_a_sheet_are_stated_or_followed(seed: int) -> None
     assert body.stated < 8 * body.true
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("shape", "seed"),
     [("ell", 2), ("cross", 3), pytest.param("cross", 13, marks=pytest.mark.thorough)],
@@ -285,6 +288,7 @@ def test_corners_near_the_line_of_sight_are_stated(shape: str, seed: int) -> Non
     assert body.true < 0.5 * body.stated
 
 
+@pytest.mark.thorough
 def test_faint_waves_to_a_small_tilted_box_are_followed() -> None:
     """Its sides nearly cancel, which faint waves of a slit undo: stated nine times too low, these
     were not followed, and 0.07 of the level was missing.

@@ -145,6 +145,7 @@ def test_walls_lit_at_grazing_by_their_neighbours(tolerance: float) -> None:
     assert off < estimates(found)["walls"] * np.linalg.norm(truth)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("pitch_deg", [pytest.param(0.0, marks=pytest.mark.whole), -60.0, -80.0])
 def test_over_ground_both_directions_have_their_own_currents(pitch_deg: float) -> None:
     """Physical optics is not reciprocal: out straight and home over the ground is not what the

@@ -64,6 +64,7 @@ def passed(points: NDArray[np.float64], edge_m: float, frequency_hz: float = 79e
     return complex(np.mean(way * fields[0] * fields[1]) / np.mean(way))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["trihedral", "dihedral"])
 def test_corner_reflectors_beside_edges(name: str) -> None:
     """Rays alone were off by 0.67 of the echo on the lit side, where 0.04 was stated, and returned
@@ -90,6 +91,7 @@ def test_over_the_band_too() -> None:
             assert abs(ratio - passed(points, edge_m, frequency_hz)) < 0.022, edge_m
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("edge_m", [0.003, -0.03])
 def test_many_facets_in_the_shadow_are_traced_again(edge_m: float) -> None:
     """4096 facets, half of the reflector hidden and more: of what rays find nothing comes back."""
@@ -98,6 +100,7 @@ def test_many_facets_in_the_shadow_are_traced_again(edge_m: float) -> None:
     assert abs(echo(found) / echo(free) - passed(opening("dihedral"), edge_m)) < 0.02
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("height_m", [0.0, 1.8e-16, 1e-15, 1e-12])
 def test_an_edge_at_the_height_of_the_radar_leaves_no_nan(height_m: float) -> None:
     """Cuts along the border of its shadow left slivers without a normal, and a record of zeros."""

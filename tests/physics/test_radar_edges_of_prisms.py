@@ -129,6 +129,7 @@ PRISMS = [
 ]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("prism", PRISMS, ids=str)
 def test_level_and_error_of_a_prism_hold_its_edges(prism: Prism) -> None:
     """The level had been that of the facets alone, 17 dB too low of a plate seen at 80 degrees, and

@@ -25,6 +25,7 @@ def strong(name: str):
     return STILL if name == "prototype" else STRONG
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["prototype", "hybrid-79-mimo"])
 @pytest.mark.parametrize("scene", ["empty", "strong targets"])
 def test_false_alarms_come_at_the_rate_asked_for(name: str, scene: str) -> None:
@@ -47,6 +48,7 @@ def test_false_detections_where_noise_falls_with_range_come_at_the_rate_asked_fo
     assert 0.5 < sum(len(frame.detections) for frame in frames) / due < 1.5
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_error_of_no_presets_synthesis_is_detected(preset: str) -> None:
     """Free space, and the leakage alone: two echoes of 14 and 16 dB at delays on either side

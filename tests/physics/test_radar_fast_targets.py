@@ -11,6 +11,7 @@ from twin.radar import load_radar, radar_capture
 from twin.scene import Pose, Rig, Scene, Sun, Target, load_scene
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["hybrid-79", "hybrid-79-slow"])
 @pytest.mark.parametrize(
     ("range_m", "rate_m_per_s", "rcs_m2"), [(8.0, -15.0, 100.0), (20.0, 20.0, 1000.0)]

@@ -86,6 +86,7 @@ def upright(item: SceneObject) -> SceneObject:
     return reshaped(item, turned)
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(
     ("radar", "reflection"),
     [("obstacle", -1), ("surface", -1), ("optics", -1), ("obstacle", 1), ("surface", 1)],

@@ -206,6 +206,7 @@ def corridor_sum(center: np.ndarray, tilt_deg: float, half_m: float, most: int) 
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "tilt_deg", [40.0, *(pytest.param(t, marks=pytest.mark.thorough) for t in (0.0, -25.0))]
 )

@@ -51,6 +51,7 @@ def on_interval(found: Propagation) -> list[str]:
     return [str(d) for d in found.decisions if "within an interval" in d.effect]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("rate", [12.0, 60.0, -314.159])
 def test_a_rotor(rate: float) -> None:
     """A point 0.2 m from an axis, at up to half a turn per interval: 63 m/s, 2.6 times what slots
@@ -312,6 +313,7 @@ def crowd(seed: int) -> Scene:
     return world(*items)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "seed", [2, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in range(5, 25))]
 )
@@ -335,6 +337,7 @@ def test_what_one_instant_leaves_out_is_warned_of(seed: int) -> None:
         assert any(name in line for line in warned)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("size_m", "yaw_deg"), [(0.15, 20.0), pytest.param(0.3, 30.0, marks=pytest.mark.slow)]
 )

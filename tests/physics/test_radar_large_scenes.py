@@ -146,6 +146,7 @@ def test_bounds_do_not_cost_a_town_more_than_fixed_knobs(monkeypatch) -> None:
     assert twice > 2 * once
 
 
+@pytest.mark.thorough
 def test_too_many_images_by_hand_are_refused(monkeypatch) -> None:
     """Before a ray is sent to any facet, and with the number of paths and what to set. Nothing else
     changes: one reflection, or as many as are few enough, are followed as ever.

@@ -153,6 +153,7 @@ def whole() -> tuple[complex, complex]:
     return over_walls(found), by_walls(facets(ball("ball", PLACE, 0.1, 6)), [wall])
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("border_m", [-0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2])
 def test_waves_over_a_mirrors_border_are_kirchhoffs(
     border_m: float, whole: tuple[complex, complex]
@@ -214,6 +215,7 @@ def test_a_plate_far_past_a_border_answers_its_faint_waves(
     assert stated(found) > 0.01 * abs(truth)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("turn_deg", [-10, -3, 3, 10])
 @pytest.mark.parametrize("fold_m", [-0.1, 0.0, 0.05])
 def test_where_a_wall_is_folded_both_parts_end(
@@ -336,6 +338,7 @@ def test_a_thick_wall_ends_as_a_thin_one(border_m: float, divided: int, thick_m:
     assert abs(echoes[0] - echoes[1]) < 1e-3 * abs(echoes[1])
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("border_m", [FOOT_M + 0.05, FOOT_M - 0.05])
 def test_where_a_wall_goes_on_it_has_no_border(border_m: float) -> None:
     """Two in one plane echo as one, and about the same is stated."""
@@ -385,6 +388,7 @@ def test_what_passes_is_kirchhoffs(leg: str, below_m: float) -> None:
     assert whole / free == pytest.approx(_PASSED[leg, below_m], abs=2e-3)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("leg", ["before the wall", "behind it"])
 @pytest.mark.parametrize("below_m", [-0.05, 0.02, 0.05, 0.1])
 def test_what_an_obstacles_edge_changes_of_a_way_over_a_mirror_is_stated(

@@ -60,6 +60,7 @@ def test_what_was_joined_answers_as_before() -> None:
     assert abs(channel(found) - channel(apart)) < 2e-3 * alone[0]
 
 
+@pytest.mark.thorough
 def test_a_capture_has_the_same_record() -> None:
     """Motion too: the site passes by, and its parts keep its velocity."""
     knobs = DEFAULT.with_(radar_images=1, radar_edges=0, radar_shadowed=0)
@@ -103,6 +104,7 @@ def test_parts_go_with_what_they_were_part_of() -> None:
     assert again.objects[1].geometry is scene.objects[1].geometry
 
 
+@pytest.mark.thorough
 def test_what_has_corners_or_edges_in_common_with_a_surface_is_a_part() -> None:
     """A box of the size of a cell of the ground, its bottom a face of it; one that touches a corner
     of the grid alone; and the same with its faces twice.

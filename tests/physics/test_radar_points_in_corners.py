@@ -49,6 +49,7 @@ def by_both(objects: list[SceneObject], place, fidelity: Fidelity | None = None)
     return complex(np.sum(waves * np.exp(-2j * np.pi * phase)))
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("beyond", [(0.0, 0.0), (1.0, 0.0), (0.0, 2.0), (1.0, 2.0)])
 @pytest.mark.parametrize("material", ["metal", "concrete"])
 @pytest.mark.parametrize("fidelity", [None, BY_TWO], ids=["tolerance", "optics"])

@@ -343,6 +343,7 @@ def test_many_frames_in_the_memory_of_a_few() -> None:
     assert drive(12) - first < 20_000  # KiB; a frame that is kept takes 34 000
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "seed",
     [

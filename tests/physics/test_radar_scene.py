@@ -301,6 +301,7 @@ def test_the_same_again_has_the_same_bits() -> None:
     assert np.array_equal(one.delay_s, other.delay_s)
 
 
+@pytest.mark.thorough
 def test_materials_of_the_itu_are_read_without_the_engine() -> None:
     """P.2040's rows at their limits and between, bit for bit as Sionna has them, while Sionna RT
     itself is not imported for them.

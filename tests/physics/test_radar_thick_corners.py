@@ -98,6 +98,7 @@ def test_a_large_box_near_the_radar_has_corners_too(high_m: float) -> None:
     assert abs(echo(box, at=point(), fidelity=LOW) - due) < 0.02
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("deep_m", [0.1, 0.3, 1.0])
 @pytest.mark.parametrize("edge_m", [-0.02, 0.002, 0.02])
 def test_bodies_behind_corners_are_within_what_is_stated(edge_m: float, deep_m: float) -> None:

@@ -227,6 +227,7 @@ def test_what_a_pair_keeps_of_flicker_is_in_the_budget() -> None:
     assert budget.total_noise_e > 1.2 * white.total_noise_e
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("order", ["sequency", "natural"])
 @pytest.mark.parametrize("mode", ["plain", "reference", "s-matrix", "differential"])
 def test_noise_of_cells_holds_what_drifts_over_the_frame(mode: str, order: str) -> None:

@@ -182,6 +182,7 @@ def without(side: int, lost: np.ndarray) -> PatternSet:
     return PatternSet.of(side, side, indices.tolist())
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("count", "finest", "burst"),
     [(1, 1024, 0), (10, 1024, 0), (100, 1024, 0), (1, 64, 0), (10, 64, 0), (10, 40, 1)],

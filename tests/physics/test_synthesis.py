@@ -57,6 +57,7 @@ def test_tolerance_is_what_bounds_the_error() -> None:
     assert errors[0] > errors[1] > errors[2]
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("slots", [16, 256])
 @pytest.mark.parametrize("n", [1, 3, 40, 20_000])
 @pytest.mark.parametrize("unlike", [0.0, 1e-4, 0.5, 30.0])
@@ -166,6 +167,7 @@ def test_the_same_bits_whatever_the_number_of_threads(monkeypatch) -> None:
     assert all(channel.tobytes() == channels[0].tobytes() for channel in channels)
 
 
+@pytest.mark.thorough
 def test_the_same_bits_whatever_the_number_of_threads_of_blas() -> None:
     """Movers that take more times than one matrix product has, an odd subcarrier and slot over:
     shapes that BLAS would give to several threads, or to a kernel that adds in another order.

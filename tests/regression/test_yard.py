@@ -11,11 +11,13 @@ import pytest
 HERE = Path(__file__).parent
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", ["zero-fill", "lmmse"])
 def test_full_set_of_patterns(twin_regression, method: str) -> None:
     twin_regression.camera("yard", HERE / "yard-32x32.toml", method=method)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", ["zero-fill", "lmmse"])
 def test_an_eighth_of_the_patterns(twin_regression, method: str) -> None:
     twin_regression.camera("yard", HERE / "yard-32x32-128.toml", method=method, seeds=24)

@@ -137,6 +137,7 @@ def test_what_changes_under_a_sweep_stops_it(tmp_path: Path) -> None:
         evaluate_chunk(plan, 0, 2, began)
 
 
+@pytest.mark.thorough
 def test_a_folder_is_of_one_scene(tmp_path: Path) -> None:
     """Meshes, the rig's file and the table of materials belong to the scene; as they were, the
     folder is the sweep's again.

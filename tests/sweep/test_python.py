@@ -279,6 +279,7 @@ def test_points_left_out_of_shares_may_be_no_number(tmp_path: Path) -> None:
     assert "3 mm: all its points are void, failed, infinite or not a number" in shown.output
 
 
+@pytest.mark.quick(6)
 @pytest.mark.parametrize(
     "array_of",
     [

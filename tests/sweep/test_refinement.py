@@ -128,6 +128,7 @@ def _simulated(
     return run_sweep(study, out=out, workers=0), points
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_the_front_is_that_of_all_points_as_asked_for(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -197,6 +198,7 @@ def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     assert left > 10
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::twin.sweep.DamagedWarning")
 def test_numbers_that_were_damaged_after_they_were_refined_are_computed_to_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -142,6 +142,7 @@ def assert_is_what_one_process_gives(found: xarray.Dataset, path: Path) -> None:
         np.testing.assert_array_equal(found[name].to_numpy().ravel(), values)
 
 
+@pytest.mark.thorough
 def test_results_do_not_depend_on_workers(study, tmp_path: Path) -> None:
     text = '[grid]\n"scene.rig.x_m" = [0.0, 0.2, 0.4, 0.6]\n"system.readout.read_noise_e" = '
     text += f"{[float(n) for n in range(1, 13)]}\n"
@@ -396,6 +397,7 @@ def test_a_damaged_line_of_the_journal_is_computed_again(
     assert open_sweep(tmp_path / "out").identical(whole)
 
 
+@pytest.mark.thorough
 def test_a_running_scheduler_is_used_by_its_address(study, tmp_path: Path) -> None:
     """A real `dask scheduler` and two workers, each a process of its own."""
     text = '[grid]\n"scene.rig.x_m" = [0.0, 0.3]\n"system.readout.read_noise_e" = [1.0, 2.0]\n'
@@ -432,6 +434,7 @@ def running_scheduler(
             process.wait(timeout=20)
 
 
+@pytest.mark.thorough
 def test_a_scheduler_that_goes_away_ends_in_one_line(
     study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,7 @@ from twin.sweep.show import plot_front, plot_plane
 from twin.system import load_system
 
 
+@pytest.mark.thorough
 def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Path) -> None:
     """A 3 mm diode in 100 klx fills its converter, and its electrons would be the most: the largest
     diode and the brightest sky are void, said by name, and on no front, map or share of variance.
@@ -83,6 +84,7 @@ def test_void_points_are_marked_counted_and_left_out(a_worker: str, tmp_path: Pa
     assert shares["system.detector.width_m"].first == pytest.approx(1.0)
 
 
+@pytest.mark.thorough
 def test_a_closed_point_that_saturates_is_void_as_in_the_budget(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -133,6 +133,7 @@ def test_a_run_within_a_time_has_the_light_that_it_prints(twin: Command, tmp_pat
     np.testing.assert_array_equal(found, counts(design, Tolerance(0.5)))
 
 
+@pytest.mark.thorough
 def test_explain_lists_every_decision_of_the_run(twin: Command, tmp_path: Path) -> None:
     """A row for each in the summary, whether it is taken; what is missed has a warning too."""
     design, out = small(tmp_path, "lidar-scan"), tmp_path / "run"

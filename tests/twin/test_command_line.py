@@ -57,6 +57,7 @@ def test_version_and_help(twin) -> None:
     assert twin("safety", "-h") == twin("safety", "--help")
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("command", ["twin schema system", "twin --help", "hardware methods"])
 def test_a_reader_that_leaves_is_no_fault(command: str) -> None:
     """Long output, and a short one that is flushed at the end: silent, as ended by SIGPIPE."""
@@ -104,6 +105,7 @@ DOCUMENTS = {
 }
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("command", list(DOCUMENTS))
 def test_one_document_on_standard_output_and_all_else_beside_it(twin, command: str) -> None:
     """The lines are those that stand on standard output without the option."""

@@ -603,6 +603,7 @@ def test_a_burst_is_over_before_the_next(
     assert planned[0].radar_period_s == pytest.approx(period_s)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("content", "left"),
     [(b"", "the same command continues {}"), (None, "nothing half-written is left")],

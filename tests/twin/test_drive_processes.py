@@ -251,6 +251,7 @@ def test_schedulers_that_cannot_be_are_refused(tmp_path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.thorough
 def test_a_scheduler_that_is_no_address_is_one_line(tmp_path: Path) -> None:
     """Dask's client had added a stack trace of its own, 20 s later."""
     options = ["--duration", "1 s", "--out", str(tmp_path / "run.mcap"), "--scheduler", "nonsense"]

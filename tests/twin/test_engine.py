@@ -129,6 +129,7 @@ def test_sionnas_variant_stays_while_it_is_asked_for() -> None:
     changed.assert_not_called()
 
 
+@pytest.mark.thorough
 def test_cuda_without_a_driver_stops_without_a_traceback(tmp_path: Path) -> None:
     """So it is where a container shows the device but not the driver's library. Dr.Jit may put a
     warning of its own before the line.
@@ -151,6 +152,7 @@ def test_cuda_without_a_driver_stops_without_a_traceback(tmp_path: Path) -> None
     assert "TWIN_VARIANT=llvm_ad_mono" in last
 
 
+@pytest.mark.quick(1)
 @pytest.mark.skipif(not OLD, reason="no libLLVM 14, 15 or 16 on this machine")
 @pytest.mark.parametrize("library", OLD, ids=lambda path: path.name)
 def test_the_real_bad_ones_stop_with_one_line_before_the_abort(library: Path) -> None:
@@ -180,6 +182,7 @@ def _textured(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.thorough
 def test_one_thread_reads_and_writes_openexr(tmp_path: Path) -> None:
     """Mitsuba by itself waits forever there, as it does on a single core."""
     code = f"""

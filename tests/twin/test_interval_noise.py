@@ -179,6 +179,7 @@ def test_detections_with_another_seed_are_within_their_intervals() -> None:
     assert min(covered.values()) >= 0.75
 
 
+@pytest.mark.thorough
 def test_snr_scatters_with_the_level_and_with_the_noise_of_the_map() -> None:
     """Of the strongest echo the level is sure to 0.005 dB, the noise of a map of 512 x 32 cells to
     0.1: over 20 seeds.

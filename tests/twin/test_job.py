@@ -211,6 +211,7 @@ def test_the_radar_record_alone_gives_the_detections(finished: Path) -> None:
     assert truth == {row["target"] for row in rows} - {""}
 
 
+@pytest.mark.thorough
 def test_paths_and_sigmf_come_on_request_figures_and_the_radar_can_stay_away(
     tmp_path: Path,
 ) -> None:
@@ -367,6 +368,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
 def test_an_unwritable_folder_is_refused_before_the_work(
     out, monkeypatch, capsys, tmp_path
@@ -435,6 +437,7 @@ def test_ctrl_c_leaves_nothing_behind(after_s: float, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("library", ["drjit", "mitsuba"])
 def test_ctrl_c_while_a_library_registers_its_types(library: str, tmp_path: Path) -> None:
     """An exception that passes through compiled code which can't let it pass aborts the process."""
@@ -453,6 +456,7 @@ def test_ctrl_c_while_a_library_registers_its_types(library: str, tmp_path: Path
     _ends_interrupted(interrupted, tmp_path)
 
 
+@pytest.mark.thorough
 def test_a_second_signal_at_the_end_changes_nothing(tmp_path: Path) -> None:
     """One when there is something to remove, one while it is removed, one while that is said."""
     interrupted = (

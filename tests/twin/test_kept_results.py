@@ -327,6 +327,7 @@ def test_of_a_users_own_models_nothing_is_kept(tmp_path: Path) -> None:
     assert not (tmp_path / "store").exists()
 
 
+@pytest.mark.thorough
 def test_a_second_run_takes_both_from_the_first(tmp_path: Path) -> None:
     environment = os.environ | {"UGV_TWIN_CACHE": str(tmp_path / "kept")}
     told, records = [], []
@@ -347,6 +348,7 @@ def test_a_second_run_takes_both_from_the_first(tmp_path: Path) -> None:
     assert "--anew" in line
 
 
+@pytest.mark.thorough
 def test_explain_tells_times_of_an_earlier_run(tmp_path: Path) -> None:
     """They had been told as if this run had taken them."""
     environment = os.environ | {"UGV_TWIN_CACHE": str(tmp_path / "kept"), "COLUMNS": "200"}
@@ -362,6 +364,7 @@ def test_explain_tells_times_of_an_earlier_run(tmp_path: Path) -> None:
         assert {one["is_kept"] for one in told} == {is_second}
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("cores", ["one process", "a helper"])
 def test_a_run_that_can_keep_nothing_says_so_once(tmp_path: Path, cores: str) -> None:
     """The helper computes the camera, and the command itself the radar."""

@@ -117,6 +117,7 @@ def test_without_sensors_only_the_motion_is_told() -> None:
     ]
 
 
+@pytest.mark.thorough
 def test_check_prints_what_moves() -> None:
     told = CliRunner().invoke(app, ["check", "crossing"])
     assert told.exit_code == 0, told.output

@@ -49,6 +49,7 @@ def test_a_run_shows_them(folder: Path) -> None:
     assert f"own ({digest})" in (folder / "out" / "report.html").read_text()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("mode", ["differential", "plain", "reference"])
 def test_noise_of_cells_is_that_of_least_squares(folder: Path, mode: str) -> None:
     """Scatter of the images of 100 records over what the twin predicts for each cell: root mean

@@ -98,6 +98,7 @@ def test_an_update_needs_its_reason(project, pytester, reason: str) -> None:
     assert not baseline_of(pytester).exists()
 
 
+@pytest.mark.thorough
 def test_every_test_has_a_baseline_of_its_own(project, pytester) -> None:
     """Classes and parameters tell tests apart; the reason may be as long as it has to be."""
     project(ITSELF)
@@ -160,6 +161,7 @@ def test_notes_of_workers_reach_the_terminal(pytester) -> None:
     result.stdout.fnmatch_lines(["*= baselines =*", "so"])
 
 
+@pytest.mark.thorough
 def test_a_baseline_holds_reasons_versions_and_figures_and_no_date(project, pytester) -> None:
     project(ITSELF, "--update-baseline", "first of all")
     once = baseline_of(pytester).read_text()
@@ -238,6 +240,7 @@ def _setup(scene: Scene, system: System) -> dict[str, Any]:
     return setup_of("camera", scene, (), system, Fidelity().part(LightFidelity), 48, ())
 
 
+@pytest.mark.thorough
 def test_a_baseline_outlives_knobs_that_are_newer_and_those_that_are_gone(
     project, pytester
 ) -> None:
@@ -251,6 +254,7 @@ def test_a_baseline_outlives_knobs_that_are_newer_and_those_that_are_gone(
     project(ITSELF).assert_outcomes(passed=1)
 
 
+@pytest.mark.thorough
 def test_a_knob_that_a_baseline_lacks_stood_where_it_did_then(project, pytester) -> None:
     """Before there were tolerances light had fixed numbers of paths, whatever the default is."""
     project(ITSELF, "--update-baseline", "first of all")
@@ -264,6 +268,7 @@ def test_a_knob_that_a_baseline_lacks_stood_where_it_did_then(project, pytester)
     )
 
 
+@pytest.mark.thorough
 def test_no_number_is_a_failure_and_no_baseline(project, pytester) -> None:
     bad = "image * np.nan"
     result = project(bad, "--update-baseline", "first of all")
@@ -333,6 +338,7 @@ def test_a_baseline_of_before_there_were_errors_is_read(tmp_path: Path) -> None:
     assert read_baseline(path).errors()["psnr_db"] == Interval(30.5)
 
 
+@pytest.mark.thorough
 def test_an_edited_baseline_fails_the_test_in_one_line(project, pytester) -> None:
     project(ITSELF, "--update-baseline", "first of all")
     content = json.loads(baseline_of(pytester).read_text())

@@ -66,6 +66,7 @@ class AtRandom(Wrong):
         return self.wrong(result) if len(self.known) - 1 in self.records else result
 
 
+@pytest.mark.thorough
 def test_what_fails_in_few_seeds_fails_the_test(twin_truth, tmp_path: Path) -> None:
     """End to end: a black image in 5 of 48, one that is stuck, one of complex numbers.
 
@@ -301,6 +302,7 @@ def test_what_the_oscillator_hides_is_no_strong_echo(twin_truth) -> None:
     assert (figures(lambda _: []) >= 4).all()
 
 
+@pytest.mark.thorough
 def test_echoes_of_antennas_that_take_turns_are_over_their_noise(twin_truth) -> None:
     """Of twelve channels: what the removal of the leakage's phase noise changes of echoes, and how
     the map is whitened, had counted as noise beside them, and one was left. A record without noise

@@ -216,6 +216,7 @@ def ghosts(rng: np.random.Generator, mean: float, n: int) -> np.ndarray:
     return rng.poisson(mean, n).astype(float)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("name", "draw"), [("psnr_db", camera), ("unmatched", ghosts)])
 @pytest.mark.parametrize("n", [16, 48])
 def test_rare_failures_at_random_alarm_no_more_often_than_stated(name: str, draw, n: int) -> None:

@@ -191,6 +191,7 @@ def test_a_second_client_is_refused_until_the_first_has_gone(scene) -> None:
             assert again.now_ns() == 0
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
@@ -354,6 +355,7 @@ def test_processes_of_a_prefetcher_go_on_with_other_arguments() -> None:
     prefetcher.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="Linux's priorities")
 def test_processes_yield_the_core_once_the_device_runs() -> None:
     """One that begins later waits for its first items at full priority, before and after."""

@@ -76,6 +76,7 @@ messages = st.lists(
 )
 
 
+@pytest.mark.thorough
 def test_bytes_from_anyone(scene) -> None:
     """Whatever comes in, the radio answers with one line or not at all, and goes on serving."""
     context = zmq.Context()

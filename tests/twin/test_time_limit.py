@@ -148,6 +148,7 @@ def test_a_time_below_that_of_the_largest_tolerance() -> None:
     assert "errors of its figures are not bounded" in warning
 
 
+@pytest.mark.thorough
 def test_what_no_knobs_bring_down_is_refused() -> None:
     with pytest.raises(InputError, match=r"a frame of the radar takes .* coarsest knobs"):
         fidelity_within("table1", 1e-4, system=None)

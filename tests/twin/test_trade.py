@@ -178,6 +178,7 @@ def test_the_reference_agrees_with_brute_force(measured: tuple[Trade, Path]) -> 
     assert str(agreement).startswith("transport over brute force: ")
 
 
+@pytest.mark.thorough
 def test_a_wrong_reference_is_found(small: tuple[Path, Path]) -> None:
     """Brute force is made from the transport itself here, with 0.1 % of scatter."""
     case = CameraCase.of(load_scene("yard"), load_system(small[0]), 1)

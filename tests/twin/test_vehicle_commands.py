@@ -83,6 +83,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return run
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("radar", radar_names())
 def test_both_commands_find_the_same(radar: str, seen: Seen) -> None:
     """Every detection of `ugv detect` is a point of `ugv process`, to float32's last bit, with all

@@ -429,6 +429,7 @@ GATES = (
 )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("shutters", "intensity"), [(PHASES, 20.0), (GATES, 3e3)], ids=["phases", "gates"]
 )

@@ -59,6 +59,7 @@ def test_it_holds_every_file_of_the_packages_and_the_scenes(unpacked: Path) -> N
     assert [place for place in places if not place.is_file()] == []
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("command", "said"),
     [

@@ -95,6 +95,7 @@ def test_a_worker_without_the_project_is_left_out(
     assert len(re.findall(told, capfd.readouterr().err)) == 1
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("moment", ["before the work", "within it"])
 def test_workers_of_which_none_has_the_project_are_told(
     running: LocalCluster, tmp_path: Path, moment: str, monkeypatch: pytest.MonkeyPatch
@@ -137,6 +138,7 @@ def test_work_of_a_worker_that_leaves_goes_to_one_that_came_since(
         assert [submit.result(one)[0] for one in waiting] == list(range(4))
 
 
+@pytest.mark.thorough
 def test_an_early_end_leaves_no_words_of_pythons_own(tmp_path) -> None:
     """Python's tracker had told of semaphores that it then removed, with a path of its source."""
     script = tmp_path / "ended.py"
