@@ -50,8 +50,8 @@ from hardware.radar.slot_phases import (
     with_spread_of_others,
     without_spread,
 )
+from hardware.radar.split_echoes import split_targets
 from hardware.radar.stitching import errors_beside_reference
-from hardware.radar.superresolution import split_targets
 from hardware.radar.windows import noise_gain
 from hardware.radar.within_symbols import without_doppler_within_symbols
 from hardware.waveform import C_M_PER_S, OfdmWaveform

@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 from hardware.radar.demodulation import Complex
 from hardware.radar.fitted_targets import FittedTargets
 from hardware.radar.joint_fit import JointFit, JointModel
-from hardware.radar.measurement import (
-    EchoMeasurement,
-    cells_apart,
-    without_duplicates,
-)
+from hardware.radar.measurement import EchoMeasurement
 from hardware.radar.rate_evidence import ambiguous_rates, fastest_resolved
 from hardware.radar.refinement import Blocks, blocks_about, echo_amplitudes
 from hardware.radar.within_symbols import channel_without_leakage
@@ -33,66 +29,12 @@ _CLOSEST = 0.3  # cells
 _MOST_NOISE = 10.0  # of an amplitude beside the others, over that of an echo alone, in power
 _WINDOW, _LEAST_SEEN = "blackmanharris", 1e-3  # of a target's power, with that window
 _MOST_IN_VAIN = 3  # peaks after each other at which no target can be told from the others
-_OF_A_PART = 2.0  # cells: half of a window's main lobe
-_REACH = 4.0  # cells searched around an echo: the main lobe of a window
+#: Cells that are searched around an echo: the main lobe of a window.
+REACH = 4.0
 _OF_A_BODY = 1e-3  # of its power: what a body has beside a point, at its place
-_UNFELT = 0.01  # of a cell's noise: side lobes of others elsewhere that are left out
 _BESIDE, _MOST_BESIDE = 8.0, 4  # cells, and number, of other echoes that are fitted with an echo
-_LINKED = 12.0  # cells between echoes that are split together: two reaches, and their side lobes
-_FAR, _MOST_TOGETHER = 16.0, 8  # cells from the first, and number, of echoes split together
 _NONE = np.zeros((0, 2))
 _FEW, _SLOW = 8, (-0.3, 0.3)  # slots, and cells of rate
-_ROUNDS = 2  # in which groups are split, since one may hide targets whose side lobes reach others
-
-
-def split_targets(
-    echoes: Sequence[EchoMeasurement],
-    channel: Complex,
-    waveform: OfdmWaveform,
-    noise_w: float,
-    false_alarm: float,
-    *,
-    fastest: float,
-    beside_static: bool = False,
-) -> list[EchoMeasurement]:
-    """Echoes of the targets that each consists of, at rates up to ``fastest`` in s/s.
-
-    Echoes near each other are split together: each may hide targets that the others' side lobes
-    contain. An echo stays as it is where no target is found near it: without a window, what a
-    strong body has beside points hides weak echoes around it. ``beside_static``: see `JointModel`.
-    """
-    groups = _groups(echoes, waveform)
-    parts = [list(group) for group in groups]
-
-    beside = [-1] * len(groups)  # number of other targets when a group was split
-    for i in [*range(len(groups))] * _ROUNDS:
-        others = [part for j, some in enumerate(parts) if j != i for part in some]
-        others = _felt(others, groups[i], waveform, noise_w)
-        if len(others) == beside[i]:
-            continue
-        beside[i] = len(others)
-        parts[i] = resolve(
-            channel,
-            waveform,
-            groups[i][0],
-            noise_w,
-            fastest=fastest,
-            false_alarm=false_alarm,
-            together=groups[i][1:],
-            others=others,
-            beside_static=beside_static,
-        )
-    found = [part for some in parts for part in some]
-    found += _without_parts(echoes, found, waveform)
-    return without_duplicates(found, waveform, folded=False)
-
-
-def _without_parts(
-    echoes: Sequence[EchoMeasurement], parts: Sequence[EchoMeasurement], waveform: OfdmWaveform
-) -> list[EchoMeasurement]:
-    """Echoes near which no part is."""
-    apart = cells_apart(echoes, parts, waveform).max(axis=-1).min(axis=1, initial=np.inf)
-    return [echo for echo, cells in zip(echoes, apart, strict=True) if cells >= _OF_A_PART]
 
 
 def resolve(
@@ -103,7 +45,7 @@ def resolve(
     *,
     fastest: float,
     false_alarm: float = 1e-6,
-    reach: float = _REACH,
+    reach: float = REACH,
     at_most: int = 4,
     together: Sequence[EchoMeasurement] = (),
     others: Sequence[EchoMeasurement] = (),
@@ -311,7 +253,7 @@ class _Search:
         power = np.mean(np.abs(across @ rest @ along) ** 2, axis=0)
         power_w = np.mean(np.abs(fit.amplitudes) ** 2, axis=1)
         away = [axis[:, None] - at for axis, at in zip(axes, fit.places.T, strict=True)]
-        lobes = [_side_lobe(away[0]), _side_lobe(self.nearest(away[1]))]
+        lobes = [highest_side_lobe(away[0]), highest_side_lobe(self.nearest(away[1]))]
         excess = power / (self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T)
         inside = _within(axes, centres, self.reach) & _within(
             axes, centres[: len(self.middles)], 2 * self.reach
@@ -332,25 +274,6 @@ def _threshold(false_alarm: float, n_channels: int) -> float:
     from scipy.special import gammainccinv
 
     return float(gammainccinv(n_channels, false_alarm / (np.pi / 3 * -np.log(false_alarm))))
-
-
-def _groups(
-    echoes: Sequence[EchoMeasurement], waveform: OfdmWaveform
-) -> list[list[EchoMeasurement]]:
-    """Each echo that is in no group yet with those that follow each other near it."""
-    groups, waiting = list[list[EchoMeasurement]](), list(echoes)
-    cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
-    while waiting:
-        steps = steps_of(waiting, np.nan_to_num([waiting[0].delay_s, waiting[0].delay_rate]), cell)
-        order = np.argsort(np.abs(steps).max(axis=1), kind="stable")
-        near = [0]
-        for i in order[1:]:
-            apart = np.abs(steps[near] - steps[i]).max(axis=1).min()
-            if len(near) < _MOST_TOGETHER and apart <= _LINKED and np.abs(steps[i]).max() <= _FAR:
-                near.append(int(i))
-        groups.append([waiting[i] for i in near])
-        waiting = [echo for i, echo in enumerate(waiting) if i not in near]
-    return groups
 
 
 def _eighths(centres: Array, reach: float) -> Array:
@@ -389,22 +312,6 @@ def _apart(places: Array, others: Array) -> Array:
     return np.asarray(np.abs(places[:, None] - others).max(axis=-1))
 
 
-def _felt(
-    others: Sequence[EchoMeasurement],
-    echoes: Sequence[EchoMeasurement],
-    waveform: OfdmWaveform,
-    noise_w: float,
-) -> list[EchoMeasurement]:
-    """Those of the others whose side lobes near any of some echoes stand out of the noise."""
-    cells = np.maximum(cells_apart(others, echoes, waveform) - _REACH, 0).min(axis=1)
-    lobes = np.prod(_side_lobe(cells), axis=-1)
-    return [
-        other
-        for other, lobe in zip(others, lobes, strict=True)
-        if other.power_w * lobe > _UNFELT * noise_w
-    ]
-
-
-def _side_lobe(cells: Array) -> Array:
+def highest_side_lobe(cells: Array) -> Array:
     """Highest side lobe beyond so many cells on one axis, over the peak in power, no window."""
     return np.asarray(1 / np.maximum(np.pi * np.abs(cells), 1) ** 2)
