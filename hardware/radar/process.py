@@ -44,11 +44,10 @@ from hardware.radar.sensitivity import clutter_between_echoes
 from hardware.radar.settings import Processing
 from hardware.radar.several_directions import CellTarget, check_per_cell, targets_of_cell
 from hardware.radar.slot_phases import (
-    phase_variance,
+    beyond_phases,
     with_phases_of_turns,
     with_rate_error,
     with_spread_of_others,
-    without_spread,
 )
 from hardware.radar.split_echoes import split_targets
 from hardware.radar.stitching import errors_beside_reference
@@ -213,9 +212,10 @@ def _detections(
             cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
     # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
     echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
-    variance = phase_variance(echoes, interval, beside_static=how.moving_only)
     n_peaks = len(echoes)
-    echoes = without_spread(echoes, interval, variance, how.cfar.false_alarm)
+    echoes, variance = beyond_phases(
+        echoes, interval, how.cfar.false_alarm, beside_static=how.moving_only
+    )
     scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     if how.moving_only:  # the mean over slots took as much of the noise as one of them
@@ -246,7 +246,7 @@ def _detections(
             fastest=fastest,
             beside_static=how.moving_only,
         )
-    echoes = with_spread_of_others(echoes, interval, variance)
+    echoes = with_spread_of_others(echoes, interval, variance, beside_static=how.moving_only)
     plane = ArrayPlane.of(interval)
     cells = [_points(echo, interval, plane, how.per_cell, variance) for echo in echoes]
     points = [point for cell, _ in cells for point in cell]

@@ -20,6 +20,7 @@ from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.measurement import EchoMeasurement, cells_apart, standard_errors, with_noise
 from hardware.radar.sensitivity import side_lobe
 from hardware.radar.slot_scatter import white_variance
+from hardware.radar.static_echoes import static_amplitudes, static_power, strongest_static
 from hardware.radar.windows import normalised_window
 from hardware.waveform import OfdmWaveform
 
@@ -36,7 +37,8 @@ def phase_variance(
 ) -> float:
     """Variance in rad^2 of the phases of single slots, if white, beyond noise, as the first of the
     echoes, the strongest, shows them; 0 where what is seen may be noise. ``beside_static``: the
-    echoes are what moves alone, beside what is static in the burst.
+    echoes are what moves alone, beside what is static in the burst; where that is stronger, it
+    shows the phases.
 
     Phases of more than half a radian spread enough of an echo that peaks of it pass for others at
     its delay, whose sum explains them. Such a sum changes amplitude as much as phase: where the
@@ -44,6 +46,8 @@ def phase_variance(
     """
     if not echoes:
         return 0.0
+    if beside_static and (still := strongest_static(burst)).power_w > echoes[0].power_w:
+        echoes, beside_static = [still, *echoes], False
     turn, *static = _over_the_echo(echoes[0], burst, beside_static=beside_static)
     parts = _of_echoes(turn, echoes, burst.waveform, static)
     fitted = parts.sum(axis=0)
@@ -146,9 +150,14 @@ def with_phases_of_turns(
 
 
 def with_spread_of_others(
-    echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance: float
+    echoes: Sequence[EchoMeasurement],
+    burst: DemodulatedBurst,
+    variance: float,
+    *,
+    beside_static: bool = False,
 ) -> list[EchoMeasurement]:
-    """Echoes whose noise holds what phases of slots spread of stronger ones over the rates.
+    """Echoes whose noise holds what phases of slots spread of stronger ones over the rates;
+    ``beside_static``: of what is static as well.
 
     Receivers share it, transmitters do not. The noise measured around an echo holds a part of it,
     which then counts twice: without this term errors of power are 1.5 to 1.9 times too small, with
@@ -157,42 +166,114 @@ def with_spread_of_others(
     if not variance or not echoes:
         return list(echoes)
     same_turn = burst.tdm_offset_s[:, None] == burst.tdm_offset_s
-    amplitude = np.array([echo.amplitude for echo in echoes])
-    power_w = np.array([echo.power_w for echo in echoes])
-    share = _spread(echoes, burst, variance) * (power_w > power_w[:, None])
+    delay_s, power_w = _delays_and_powers(echoes)
+    share = _spread(delay_s, echoes, burst, variance) * (power_w > power_w[:, None])
+    spreading = np.array([echo.amplitude for echo in echoes])
+    if beside_static:
+        spreading = np.vstack([spreading, static_amplitudes(burst, delay_s)])
+        of_static = np.eye(len(echoes)) * _at_any_rate(burst, variance)
+        share = np.hstack([share, of_static])
     return [
         with_noise(echo, replace(echo.noise, covariance_w=echo.noise.covariance_w + more))
         for echo, more in zip(
             echoes,
-            same_turn * np.einsum("ej,jc,jd->ecd", share, amplitude, amplitude.conj()),
+            same_turn * np.einsum("ej,jc,jd->ecd", share, spreading, spreading.conj()),
             strict=True,
         )
     ]
 
 
-def _spread(echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance: float) -> Array:
-    """Power that phases of slots spread from echoes to the cells of others, at most, over that of
-    the echo spread, (n_echoes, n_echoes).
+def spread_power(
+    delay_s: Array,
+    echoes: Sequence[EchoMeasurement],
+    burst: DemodulatedBurst,
+    variance: float,
+    *,
+    beside_static: bool = False,
+) -> Array:
+    """Mean power (n,) of what phases of slots spread of all echoes to any rate at delays (n,), at
+    most; ``beside_static``: of what is static as well.
+    """
+    _, power_w = _delays_and_powers(echoes)
+    spread_w = _spread(delay_s, echoes, burst, variance) @ power_w
+    if beside_static:
+        spread_w += _at_any_rate(burst, variance) * static_power(burst, delay_s)
+    return np.asarray(spread_w)
+
+
+def _at_any_rate(burst: DemodulatedBurst, variance: float) -> float:
+    """Power that phases of slots spread of an echo to any other rate, over its own."""
+    return float(np.expm1(variance)) / burst.waveform.n_slots
+
+
+def _spread(
+    delay_s: Array, echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance: float
+) -> Array:
+    """Power that phases of slots spread from echoes to delays (n,), at most, over that of the
+    echo spread, (n, n_echoes).
     """
     wave = burst.waveform
-    apart = cells_apart(echoes, echoes, wave)[..., 0]
-    lobe = side_lobe(apart[..., None], np.array([wave.n_subcarriers]))[..., 0]
-    return np.asarray(np.expm1(variance) / wave.n_slots * lobe)
+    cells = np.nan_to_num(delay_s[:, None] - _delays_and_powers(echoes)[0]) / wave.delay_cell_s
+    apart = np.abs(cells - wave.n_subcarriers * np.rint(cells / wave.n_subcarriers))
+    return np.asarray(_at_any_rate(burst, variance) * side_lobe(apart, wave.n_subcarriers))
 
 
-def without_spread(
-    echoes: Sequence[EchoMeasurement], burst: DemodulatedBurst, variance: float, false_alarm: float
-) -> list[EchoMeasurement]:
-    """Echoes without those that stronger ones may be, spread over the rates by phases of slots.
+def _delays_and_powers(echoes: Sequence[EchoMeasurement]) -> tuple[Array, Array]:
+    """Of echoes, (n_echoes,) each."""
+    both = np.array([(echo.delay_s, echo.power_w) for echo in echoes]).reshape(-1, 2)
+    return both[:, 0], both[:, 1]
 
-    ``echoes``: the strongest first. ``false_alarm``: probability that one is kept.
+
+def most_of_spread(burst: DemodulatedBurst, chance: float) -> float:
+    """Power of what phases of slots spread to a cell, over its mean, that it exceeds with this
+    probability: channels of one transmitter share it.
     """
     from scipy.special import gammainccinv
 
-    if not variance:
-        return list(echoes)
     looks = len(np.unique(burst.tdm_offset_s))
-    most = float(gammainccinv(looks, false_alarm)) / looks
-    power_w = np.array([echo.power_w for echo in echoes])
-    spread_w = most * np.tril(_spread(echoes, burst, variance), -1) @ power_w
-    return [echo for echo, least_w in zip(echoes, spread_w, strict=True) if echo.power_w > least_w]
+    return float(gammainccinv(looks, chance)) / looks
+
+
+def without_spread(
+    echoes: Sequence[EchoMeasurement],
+    burst: DemodulatedBurst,
+    variance: float,
+    false_alarm: float,
+    *,
+    beside_static: bool = False,
+) -> list[EchoMeasurement]:
+    """Echoes without those that stronger ones may be, spread over the rates by phases of slots;
+    ``beside_static``: or what is static.
+
+    ``echoes``: the strongest first. ``false_alarm``: probability that one is kept.
+    """
+    if not variance or not echoes:
+        return list(echoes)
+    delay_s, power_w = _delays_and_powers(echoes)
+    spread_w = np.tril(_spread(delay_s, echoes, burst, variance), -1) @ power_w
+    if beside_static:
+        spread_w += _at_any_rate(burst, variance) * static_power(burst, delay_s)
+    least_w = most_of_spread(burst, false_alarm) * spread_w
+    return [echo for echo, least in zip(echoes, least_w, strict=True) if echo.power_w > least]
+
+
+def beyond_phases(
+    echoes: Sequence[EchoMeasurement],
+    burst: DemodulatedBurst,
+    false_alarm: float,
+    *,
+    beside_static: bool = False,
+) -> tuple[list[EchoMeasurement], float]:
+    """Echoes that phases of slots do not make, and the variance of these phases, in rad^2: measured
+    anew beside the echoes that are left, until it makes none of them.
+    """
+    left, variance = list(echoes), 0.0
+    while left:
+        seen = phase_variance(left, burst, beside_static=beside_static)
+        if seen <= variance:
+            break
+        variance, before = seen, len(left)
+        left = without_spread(left, burst, variance, false_alarm, beside_static=beside_static)
+        if len(left) == before:
+            break
+    return left, variance
