@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,7 @@ from hardware.radar.settings import Processing
 from hardware.radar.several_directions import CellTarget, check_per_cell, targets_of_cell
 from hardware.radar.slot_phases import (
     beyond_phases,
+    most_of_spread,
     with_phases_of_turns,
     with_rate_error,
     with_spread_of_others,
@@ -237,6 +239,9 @@ def _detections(
     if how.moving_only:
         echoes = moving_echoes(echoes, channel, interval.waveform, noise_w)
     if how.resolve:
+        spread = partial(
+            most_of_spread, echoes, interval, variance, how.cfar.false_alarm, how.moving_only
+        )
         echoes = split_targets(
             echoes,
             channel,
@@ -245,6 +250,7 @@ def _detections(
             how.cfar.false_alarm,
             fastest=fastest,
             beside_static=how.moving_only,
+            least_at=spread if variance else None,
         )
     echoes = with_spread_of_others(echoes, interval, variance, beside_static=how.moving_only)
     plane = ArrayPlane.of(interval)

@@ -183,22 +183,22 @@ def with_spread_of_others(
     ]
 
 
-def spread_power(
-    delay_s: Array,
+def most_of_spread(
     echoes: Sequence[EchoMeasurement],
     burst: DemodulatedBurst,
     variance: float,
-    *,
-    beside_static: bool = False,
+    false_alarm: float,
+    beside_static: bool,
+    delay_s: Array,
 ) -> Array:
-    """Mean power (n,) of what phases of slots spread of all echoes to any rate at delays (n,), at
-    most; ``beside_static``: of what is static as well.
+    """Mean power (n,) that what phases of slots spread of all echoes to other rates at delays (n,)
+    exceeds with the probability ``false_alarm``; ``beside_static``: of what is static as well.
     """
     _, power_w = _delays_and_powers(echoes)
     spread_w = _spread(delay_s, echoes, burst, variance) @ power_w
     if beside_static:
         spread_w += _at_any_rate(burst, variance) * static_power(burst, delay_s)
-    return np.asarray(spread_w)
+    return np.asarray(_highest(burst, false_alarm) * spread_w)
 
 
 def _at_any_rate(burst: DemodulatedBurst, variance: float) -> float:
@@ -224,7 +224,7 @@ def _delays_and_powers(echoes: Sequence[EchoMeasurement]) -> tuple[Array, Array]
     return both[:, 0], both[:, 1]
 
 
-def most_of_spread(burst: DemodulatedBurst, chance: float) -> float:
+def _highest(burst: DemodulatedBurst, chance: float) -> float:
     """Power of what phases of slots spread to a cell, over its mean, that it exceeds with this
     probability: channels of one transmitter share it.
     """
@@ -253,7 +253,7 @@ def without_spread(
     spread_w = np.tril(_spread(delay_s, echoes, burst, variance), -1) @ power_w
     if beside_static:
         spread_w += _at_any_rate(burst, variance) * static_power(burst, delay_s)
-    least_w = most_of_spread(burst, false_alarm) * spread_w
+    least_w = _highest(burst, false_alarm) * spread_w
     return [echo for echo, least in zip(echoes, least_w, strict=True) if echo.power_w > least]
 
 

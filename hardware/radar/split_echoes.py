@@ -1,6 +1,6 @@
 """Echoes near each other, whose targets are told apart together by `resolve`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,14 @@ def split_targets(
     *,
     fastest: float,
     beside_static: bool = False,
+    least_at: Callable[[Array], Array] | None = None,
 ) -> list[EchoMeasurement]:
     """Echoes of the targets that each consists of, at rates up to ``fastest`` in s/s.
 
     Echoes near each other are split together: each may hide targets that the others' side lobes
     contain. An echo stays as it is where no target is found near it: without a window, what a
     strong body has beside points hides weak echoes around it. ``beside_static``: see `JointModel`.
+    ``least_at``: see `resolve`.
     """
     groups = _groups(echoes, waveform)
     parts = [list(group) for group in groups]
@@ -55,6 +57,7 @@ def split_targets(
             together=groups[i][1:],
             others=others,
             beside_static=beside_static,
+            least_at=least_at,
         )
     found = [part for some in parts for part in some]
     found += _without_parts(echoes, found, waveform)

@@ -7,7 +7,7 @@ and amplitudes), their sum is subtracted, and the residual is searched again unt
 lobes. Targets without which the others explain as much are then left out again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,6 +50,7 @@ def resolve(
     together: Sequence[EchoMeasurement] = (),
     others: Sequence[EchoMeasurement] = (),
     beside_static: bool = False,
+    least_at: Callable[[Array], Array] | None = None,
 ) -> list[EchoMeasurement]:
     """Split an echo into those of the targets that it consists of, nearest first.
 
@@ -79,6 +80,9 @@ def resolve(
         which were measured in the side lobes of this echo.
     beside_static
         The channel is one without its mean over slots, see `JointModel`.
+    least_at
+        Power (n,) at delays (n,), in s, up to which peaks are none of targets, beside what noise
+        makes.
 
     Standard errors are those of the joint fit, in the noise that it leaves around each target.
 
@@ -102,7 +106,9 @@ def resolve(
     least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
     model = JointModel(blocks, fixed, noise_w, beside_static)
     reaches = np.minimum(reach, np.array([waveform.n_subcarriers, waveform.n_slots]) / 2)
-    search = _Search(model, windowed, middles, beside, reaches, least_w, waveform, fastest)
+    search = _Search(
+        model, windowed, middles, beside, reaches, least_w, waveform, fastest, least_at
+    )
     fit = search.without_needless(search.targets(at_most * len(split)))
     n_targets = len(search.targets_of(fit))
     fitted = FittedTargets(model, n_targets, still, waveform, noise_w, fastest)
@@ -119,7 +125,8 @@ class _Search:
 
     ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
     the middles and around targets that are found, of delay and of rate (2,); ``least_w``: mean
-    power over channels of a target that is not noise; ``fastest``: largest delay rate, in s/s.
+    power over channels of a target that is not noise; ``fastest``: largest delay rate, in s/s;
+    ``least_at``: see `resolve`.
     """
 
     model: JointModel
@@ -130,6 +137,7 @@ class _Search:
     least_w: float
     waveform: OfdmWaveform
     fastest: float
+    least_at: Callable[[Array], Array] | None
 
     def targets(self, at_most: int) -> JointFit:
         """Targets added one by one, the strongest first, until noise is left."""
@@ -254,7 +262,10 @@ class _Search:
         power_w = np.mean(np.abs(fit.amplitudes) ** 2, axis=1)
         away = [axis[:, None] - at for axis, at in zip(axes, fit.places.T, strict=True)]
         lobes = [highest_side_lobe(away[0]), highest_side_lobe(self.nearest(away[1]))]
-        excess = power / (self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T)
+        least_w = self.least_w + _OF_A_BODY * (lobes[0] * power_w) @ lobes[1].T
+        if self.least_at is not None:
+            least_w += self.least_at(self.model.blocks.delay_s + axes[0] * grid.cell[0])[:, None]
+        excess = power / least_w
         inside = _within(axes, centres, self.reach) & _within(
             axes, centres[: len(self.middles)], 2 * self.reach
         )

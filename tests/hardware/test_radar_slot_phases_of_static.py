@@ -45,3 +45,18 @@ def test_phases_are_measured_beside_what_they_do_not_make() -> None:
     """
     detections = [len(process(record).detections) for record in _bursts(64, 0.5)]
     assert sum(detections) == len(detections)
+
+
+@pytest.mark.parametrize("n_slots", [16, 64])
+def test_what_phases_spread_of_an_echo_is_not_split_off(n_slots: int) -> None:
+    """Phases of 0.1 rad: an echo had two to three false targets of up to 33 dB. A second one 10 dB
+    below and a cell of rate away is split off.
+    """
+    wave = replace(WAVE, n_slots=n_slots)
+    second = Echo((20.0, 0, 0), 1e-10, (1.2 * wave.velocity_cell_m_per_s, 0, 0), phase_rad=1.0)
+    for others, expected in (([], 1), ([second], 2)):
+        counts = [
+            len(process(record, how=Processing(resolve=True)).detections)
+            for record in _bursts(n_slots, 0.1, *others)
+        ]
+        assert counts.count(expected) >= len(counts) - 1
