@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hardware.formatting import counted
 from hardware.radar.array_plane import FLAT, extents, virtual_array
 from hardware.radar.burst import DemodulatedBurst
 from hardware.radar.cfar_rule import has_training_cells, one_echo_fills
@@ -45,6 +46,16 @@ def targets_of_two_slots(waveform: OfdmWaveform, how: Processing) -> list[str]:
         "range rate: 2 slots of a transmitter tell one in each range cell; where targets of "
         "several are in it (resolve), it is that of none, which its error does not hold, and "
         "detections beside it may be false"
+    ]
+
+
+def lost_at_rest(count: int) -> list[str]:
+    """A warning of so many peaks at rest that are no single echo."""
+    if not count:
+        return []
+    return [
+        f"range rate: {counted(count, 'peak')} at rest, of several echoes that move at one range, "
+        "whose rates are not told (moving_only)"
     ]
 
 

@@ -24,6 +24,7 @@ from hardware.radar.detection_warnings import (
     beside_the_reference,
     coupled_ranges,
     left_to_rounding,
+    lost_at_rest,
     mixed_directions,
     moving_side_lobes,
     of_the_map,
@@ -38,7 +39,7 @@ from hardware.radar.integrity import UnusableBurstError, told_left_out, unusable
 from hardware.radar.k_distribution import ClutterFit, fit
 from hardware.radar.leakage_noise import with_noise_of_its_cell
 from hardware.radar.measurement import EchoMeasurement
-from hardware.radar.moving import moving_echoes
+from hardware.radar.moving import moving_echoes, without_static_echoes
 from hardware.radar.own_detection import detection_of
 from hardware.radar.range_doppler import RangeDopplerMap, range_doppler
 from hardware.radar.sensitivity import clutter_between_echoes
@@ -237,7 +238,15 @@ def _detections(
         ]
     echoes = echoes[: how.at_most]
     if how.moving_only:
-        echoes = moving_echoes(echoes, channel, interval.waveform, noise_w)
+        echoes, n_lost = moving_echoes(
+            echoes,
+            channel,
+            interval.waveform,
+            noise_w,
+            how.cfar.false_alarm,
+            fastest=fastest,
+        )
+        warnings += lost_at_rest(n_lost)
     if how.resolve:
         spread = partial(
             most_of_spread, echoes, interval, variance, how.cfar.false_alarm, how.moving_only
@@ -252,6 +261,8 @@ def _detections(
             beside_static=how.moving_only,
             least_at=spread if variance else None,
         )
+    if how.moving_only:
+        echoes = without_static_echoes(echoes, interval.waveform)
     echoes = with_spread_of_others(echoes, interval, variance, beside_static=how.moving_only)
     plane = ArrayPlane.of(interval)
     cells = [_points(echo, interval, plane, how.per_cell, variance) for echo in echoes]

@@ -103,7 +103,7 @@ def resolve(
     middle = np.array([blocks.delay_s, blocks.delay_rate])
     middles = steps_of(split, middle, blocks.grid.cell)
     beside, fixed = _nearest(steps_of(others, middle, blocks.grid.cell))
-    least_w = noise_w * _threshold(false_alarm, len(blocks.sums)) / len(blocks.sums)
+    least_w = noise_w * peak_of_noise(false_alarm, len(blocks.sums)) / len(blocks.sums)
     model = JointModel(blocks, fixed, noise_w, beside_static)
     reaches = np.minimum(reach, np.array([waveform.n_subcarriers, waveform.n_slots]) / 2)
     search = _Search(
@@ -275,7 +275,7 @@ class _Search:
         return float(excess[row, column]), np.array([axes[0][row], axes[1][column]])
 
 
-def _threshold(false_alarm: float, n_channels: int) -> float:
+def peak_of_noise(false_alarm: float, n_channels: int) -> float:
     """Level that a peak of noise near a cell exceeds with this probability: sum over channels, over
     the mean of one.
 
