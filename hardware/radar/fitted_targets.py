@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,14 @@ from hardware.radar.channel_noise import ChannelNoise
 from hardware.radar.demodulation import Complex
 from hardware.radar.joint_fit import JointFit, JointModel
 from hardware.radar.measurement import EchoMeasurement, echo_measurement
-from hardware.radar.rate_evidence import rate_evidence
+from hardware.radar.rate_evidence import CERTAIN, USUAL_RATE, rate_evidence
 from hardware.radar.residue import residual_cells
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
 
+_MOST_TOGETHER = 3  # targets whose rates are fitted in pairs
+_MOST_COMBINED = 36  # pairs of rates of two targets that are fitted
 _PASSES = 3  # at most: what one target was tested beside may have another rate afterwards
 
 
@@ -80,10 +83,56 @@ class FittedTargets:
                 more[i] = np.array(echo.delay_rate_alternatives) - echo.delay_rate
             if fit is before:
                 break
+        fits, with_another = self.at_rates_of_pairs(fit)
+        if with_another.any():
+            noise_w = max(self.noise_w, *self.left_around_w(fits[0]))
+            span = 2 * self.waveform.max_delay_rate
+            fit, together = _likeliest(fits, self.rates_of(fits), span, noise_w)
+            more = [together[i] if with_another[i] else more[i] for i in range(self.n_targets)]
+            echoes = self.echoes(fit)
         return [
             replace(echo, delay_rate_alternatives=tuple((echo.delay_rate + more[i]).tolist()))
             for i, echo in enumerate(echoes)
         ]
+
+    def at_rates_of_pairs(self, fit: JointFit) -> tuple[list[JointFit], NDArray[np.bool_]]:
+        """Fits, the best first, at all combinations of the rates of any two targets that may be
+        smeared over each other, and which targets these are: at a wrong rate one moves the other,
+        which then fits its wrong rate. Of many targets, as of a body, that would take too long.
+        """
+        fits, with_another = [fit], np.zeros(self.n_targets, dtype=bool)
+        if self.n_targets > _MOST_TOGETHER:
+            return fits, with_another
+        for pair in combinations(range(self.n_targets), 2):
+            both = [self.echo(fits[0], i) for i in pair]
+            chosen = np.array(list(product(*(self.rates(echo) for echo in both))))
+            if not 1 < len(chosen) <= _MOST_COMBINED or not self.may_meet(both, chosen):
+                continue
+            with_another[list(pair)] = True
+            for rates in chosen:
+                spans = np.zeros(self.n_targets)
+                spans[list(pair)] = self.spans(both, rates)
+                fits.append(self.moved(fits[0], spans))
+            sound = [one for one in fits[1:] if one.tells_apart(self.n_targets, fit)]
+            fits = sorted([fits[0], *sound], key=lambda one: one.misfit)
+        return fits, with_another
+
+    def may_meet(self, echoes: Sequence[EchoMeasurement], rates: Array) -> bool:
+        """Whether two echoes are in one range cell at some time, at any of the rates (n, 2)."""
+        moved_s = float(np.ptp(rates)) * self.waveform.n_slots * self.waveform.slot_period_s / 2
+        apart_s = abs(echoes[0].delay_s - echoes[1].delay_s)
+        return bool(apart_s < moved_s + self.waveform.delay_cell_s)
+
+    def left_around_w(self, fit: JointFit) -> list[float]:
+        """Power in the cells around each target that a fit leaves."""
+        sizes = np.diag(fit.gram).real
+        return [echo.noise.mean_w / sizes[i] for i, echo in enumerate(self.echoes(fit))]
+
+    def rates_of(self, fits: Sequence[JointFit]) -> Array:
+        """Delay rates (n_fits, n_targets) of the targets of fits."""
+        blocks = self.model.blocks
+        cells = np.array([fit.places[: self.n_targets, 1] for fit in fits])
+        return np.asarray(blocks.delay_rate + cells * blocks.grid.cell[1])
 
     def at_likeliest_rate(
         self, fit: JointFit, echoes: list[EchoMeasurement], i: int, stronger: Sequence[int]
@@ -108,24 +157,52 @@ class FittedTargets:
 
     def echoes(self, fit: JointFit) -> list[EchoMeasurement]:
         """The targets of a fit."""
-        return [
-            fitted_echo(self.model, fit, i, self.waveform, self.noise_w)
-            for i in range(self.n_targets)
-        ]
+        return [self.echo(fit, i) for i in range(self.n_targets)]
+
+    def echo(self, fit: JointFit, i: int) -> EchoMeasurement:
+        """One of the targets of a fit."""
+        return fitted_echo(self.model, fit, i, self.waveform, self.noise_w)
 
     def at_rates(
         self, fit: JointFit, echoes: list[EchoMeasurement], rates: Sequence[float]
     ) -> tuple[JointFit, list[EchoMeasurement]]:
         """A fit and its echoes, at the rates that fold to theirs and are nearest to these."""
-        n_slots, cell = self.waveform.n_slots, self.waveform.delay_rate_cell
-        moved = np.array(rates) - [echo.delay_rate for echo in echoes]
-        spans = np.rint(moved / (n_slots * cell))
+        spans = self.spans(echoes, rates)
         if not spans.any():
             return fit, echoes
-        places = fit.places.copy()
-        places[: self.n_targets, 1] += n_slots * spans
-        fit = self.model.refined(places)
+        fit = self.moved(fit, spans)
         return fit, self.echoes(fit)
+
+    def spans(self, echoes: Sequence[EchoMeasurement], rates: Sequence[float] | Array) -> Array:
+        """Spans of the Doppler ambiguity (n_echoes,) from echoes to rates."""
+        moved = np.array(rates) - [echo.delay_rate for echo in echoes]
+        return np.asarray(np.rint(moved / (2 * self.waveform.max_delay_rate)))
+
+    def moved(self, fit: JointFit, spans: Array) -> JointFit:
+        """A fit of targets whose rates are so many spans (n_targets,) from those of another fit."""
+        places = fit.places.copy()
+        places[: self.n_targets, 1] += self.waveform.n_slots * spans
+        return self.model.refined(places)
+
+
+def _likeliest(
+    fits: Sequence[JointFit], rates: Array, span: float, noise_w: float
+) -> tuple[JointFit, list[Array]]:
+    """The likeliest of fits, the best first, and other rates of each target that are open, from
+    its own, likeliest first.
+
+    ``rates`` (n_fits, n_targets): of the targets, which are points here; ``span``: between those
+    that fold to the same; ``noise_w``: noise, and what the best fit leaves beside it.
+    """
+    behind = np.array([fit.misfit - fits[0].misfit for fit in fits]) / noise_w
+    order = np.argsort(behind + np.sum((rates / USUAL_RATE) ** 2, axis=1) / 2, kind="stable")
+    first, *others = order[behind[order] < CERTAIN].tolist()
+    more: list[list[float]] = [[] for _ in rates.T]
+    for apart in rates[others] - rates[first]:
+        for open_rates, rate in zip(more, apart, strict=True):
+            if np.abs(np.array([0.0, *open_rates]) - rate).min() > span / 2:
+                open_rates.append(float(rate))
+    return fits[first], [np.array(open_rates) for open_rates in more]
 
 
 def _with(echoes: Sequence[EchoMeasurement], i: int, rate: float) -> list[float]:

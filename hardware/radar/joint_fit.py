@@ -18,6 +18,7 @@ Complex = NDArray[np.complex128]
 
 _STEPS = 30  # at most
 _STILL = 1e-2  # of the noise of a cell: what the last step is to gain at least
+_MOST_NOISE = 10.0  # of an amplitude beside the others, over that of an echo alone, in power
 _FARTHEST = 0.5  # cells: the largest step
 
 
@@ -166,6 +167,16 @@ class JointFit:
     def misfit(self) -> float:
         """Energy of the residual."""
         return float(np.vdot(self.residual, self.residual).real)
+
+    def tells_apart(self, n_echoes: int, as_well_as: "JointFit | None" = None) -> bool:
+        """Whether the amplitudes of its first echoes can be told from those of all others; or
+        almost as well as in another fit.
+        """
+        noise, others = (
+            float(np.diag(fit.gram).real[:n_echoes].max(initial=0.0))
+            for fit in (self, as_well_as or self)
+        )
+        return noise <= (max(_MOST_NOISE, 2 * others) if as_well_as else _MOST_NOISE)
 
     @cached_property
     def information(self) -> Array:

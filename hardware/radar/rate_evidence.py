@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 #: Log-likelihood ratio above which a rate counts as certain: one error in a thousand.
 CERTAIN = float(np.log(1e3))
-_USUAL_RATE = 2 * 10.0 / C_M_PER_S  # standard deviation before anything is measured: of 10 m/s
+#: Standard deviation of rates before anything is measured: of 10 m/s.
+USUAL_RATE = 2 * 10.0 / C_M_PER_S
 _MODEL = 0.1  # of the likeliest rate's level: what an extended target may add to a wrong rate
 _FAR_WEAKER = 0.5  # of the likeliest rate's level: less, parts that move otherwise do not explain
 _BESIDE = 0.5  # cells of rate from the best of the half cells, within which a body's rate is
@@ -54,7 +55,7 @@ class RateEvidence:
         hardly distinguish them, that is the slowest.
         """
         rates, likelihood = self.delay_rate, self.log_likelihood
-        likeliest = np.argsort((rates / _USUAL_RATE) ** 2 / 2 - likelihood, kind="stable")
+        likeliest = np.argsort((rates / USUAL_RATE) ** 2 / 2 - likelihood, kind="stable")
         return np.asarray(likeliest[self.possible[likeliest]])
 
     @property

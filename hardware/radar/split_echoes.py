@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hardware.radar.demodulation import Complex
 from hardware.radar.measurement import EchoMeasurement, cells_apart, without_duplicates
-from hardware.radar.superresolution import REACH, highest_side_lobe, resolve, steps_of
+from hardware.radar.superresolution import REACH, highest_side_lobe, resolve
 from hardware.waveform import OfdmWaveform
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ def split_targets(
     strong body has beside points hides weak echoes around it. ``beside_static``: see `JointModel`.
     ``least_at``: see `resolve`.
     """
-    groups = _groups(echoes, waveform)
+    groups = groups_of(echoes, waveform)
     parts = [list(group) for group in groups]
 
     beside = [-1] * len(groups)  # number of other targets when a group was split
@@ -72,19 +72,18 @@ def _without_parts(
     return [echo for echo, cells in zip(echoes, apart, strict=True) if cells >= _OF_A_PART]
 
 
-def _groups(
+def groups_of(
     echoes: Sequence[EchoMeasurement], waveform: OfdmWaveform
 ) -> list[list[EchoMeasurement]]:
     """Each echo that is in no group yet with those that follow each other near it."""
     groups, waiting = list[list[EchoMeasurement]](), list(echoes)
-    cell = np.array([waveform.delay_cell_s, waveform.delay_rate_cell])
     while waiting:
-        steps = steps_of(waiting, np.nan_to_num([waiting[0].delay_s, waiting[0].delay_rate]), cell)
-        order = np.argsort(np.abs(steps).max(axis=1), kind="stable")
+        apart = cells_apart(waiting, waiting, waveform).max(axis=-1)
+        order = np.argsort(apart[0], kind="stable")
         near = [0]
         for i in order[1:]:
-            apart = np.abs(steps[near] - steps[i]).max(axis=1).min()
-            if len(near) < _MOST_TOGETHER and apart <= _LINKED and np.abs(steps[i]).max() <= _FAR:
+            is_linked = apart[i, near].min() <= _LINKED and apart[i, 0] <= _FAR
+            if len(near) < _MOST_TOGETHER and is_linked:
                 near.append(int(i))
         groups.append([waiting[i] for i in near])
         waiting = [echo for i, echo in enumerate(waiting) if i not in near]

@@ -26,7 +26,6 @@ from hardware.waveform import OfdmWaveform
 Array = NDArray[np.float64]
 
 _CLOSEST = 0.3  # cells
-_MOST_NOISE = 10.0  # of an amplitude beside the others, over that of an echo alone, in power
 _WINDOW, _LEAST_SEEN = "blackmanharris", 1e-3  # of a target's power, with that window
 _MOST_IN_VAIN = 3  # peaks after each other at which no target can be told from the others
 #: Cells that are searched around an echo: the main lobe of a window.
@@ -106,14 +105,12 @@ def resolve(
     least_w = noise_w * peak_of_noise(false_alarm, len(blocks.sums)) / len(blocks.sums)
     model = JointModel(blocks, fixed, noise_w, beside_static)
     reaches = np.minimum(reach, np.array([waveform.n_subcarriers, waveform.n_slots]) / 2)
-    search = _Search(
-        model, windowed, middles, beside, reaches, least_w, waveform, fastest, least_at
-    )
+    none = FittedTargets(model, 0, still, waveform, noise_w, fastest)
+    search = _Search(model, windowed, middles, beside, reaches, least_w, none, least_at)
     fit = search.without_needless(search.targets(at_most * len(split)))
-    n_targets = len(search.targets_of(fit))
-    fitted = FittedTargets(model, n_targets, still, waveform, noise_w, fastest)
     parts = [
-        replace(part, is_corrected=still is not channel) for part in fitted.at_likeliest_rates(fit)
+        replace(part, is_corrected=still is not channel)
+        for part in search.fitted(fit).at_likeliest_rates(fit)
     ]
     return sorted(parts, key=lambda part: part.delay_s)
 
@@ -125,8 +122,8 @@ class _Search:
 
     ``beside`` (n, 2): other echoes, the last places of every fit. ``reach``: cells searched around
     the middles and around targets that are found, of delay and of rate (2,); ``least_w``: mean
-    power over channels of a target that is not noise; ``fastest``: largest delay rate, in s/s;
-    ``least_at``: see `resolve`.
+    power over channels of a target that is not noise; ``none``: of no target; ``least_at``: see
+    `resolve`.
     """
 
     model: JointModel
@@ -135,8 +132,7 @@ class _Search:
     beside: Array
     reach: Array
     least_w: float
-    waveform: OfdmWaveform
-    fastest: float
+    none: FittedTargets
     least_at: Callable[[Array], Array] | None
 
     def targets(self, at_most: int) -> JointFit:
@@ -147,6 +143,7 @@ class _Search:
             fit = self.model.refined(np.vstack([self.middles, self.beside]))
             if not self.is_sound(fit):
                 return fit
+            fit = self.at_best_rates(fit)
         while in_vain < _MOST_IN_VAIN and len(self.targets_of(fit)) < at_most:
             excess, place = self.strongest(fit, barred)
             if excess <= 1:
@@ -156,10 +153,21 @@ class _Search:
             ]
             more = min(fits, key=lambda one: one.misfit)
             if self.is_sound(more):
-                fit, in_vain = more, 0
+                fit, in_vain = self.at_best_rates(more), 0
             else:
                 barred, in_vain = np.vstack([barred, place]), in_vain + 1
         return fit
+
+    def at_best_rates(self, fit: JointFit) -> JointFit:
+        """A fit that leaves more than noise, at other rates of its targets if these leave less."""
+        if len(self.targets_of(fit)) < 2 or self.strongest(fit)[0] <= 1:
+            return fit
+        (best, *_), _ = self.fitted(fit).at_rates_of_pairs(fit)
+        return best if self.is_sound(best) else fit
+
+    def fitted(self, fit: JointFit) -> FittedTargets:
+        """The targets of a fit."""
+        return replace(self.none, n_targets=len(self.targets_of(fit)))
 
     def beginnings(self, place: Array) -> list[Array]:
         """Places (2,) from which that of a target is looked for: of few slots, whose lobes are
@@ -172,18 +180,20 @@ class _Search:
             rates += [place[1] + half / 2 for half in range(1 - n_slots, n_slots) if half]
         if self.model.beside_static:
             rates += [self.model.at_rest + slow for slow in _SLOW]
-        cell, own = self.waveform.delay_rate_cell, self.model.blocks.delay_rate
-        folding = [ambiguous_rates(self.waveform, own + rate * cell, self.most) for rate in rates]
+        cell, own = self.none.waveform.delay_rate_cell, self.model.blocks.delay_rate
+        folding = [
+            ambiguous_rates(self.none.waveform, own + rate * cell, self.most) for rate in rates
+        ]
         return [np.array([place[0], rate]) for rate in (np.concatenate(folding) - own) / cell]
 
     @cached_property
     def most(self) -> float:
         """Delay rate up to which others are tested, in s/s."""
-        return fastest_resolved(self.waveform, self.fastest)
+        return fastest_resolved(self.none.waveform, self.none.fastest)
 
     def nearest(self, cells: Array) -> Array:
         """Cells between rates, to the nearest of those that fold to them."""
-        n_slots = self.waveform.n_slots
+        n_slots = self.none.waveform.n_slots
         return np.asarray(cells - n_slots * np.rint(cells / n_slots))
 
     def is_sound(self, fit: JointFit) -> bool:
@@ -198,10 +208,9 @@ class _Search:
     def are_apart(self, fit: JointFit) -> bool:
         """Whether each target of a fit can be told from all others."""
         targets = self.targets_of(fit)
-        noise = np.diag(fit.gram).real[: len(targets)]
         apart = _apart(targets, np.vstack([fit.places, self.model.fixed]))
         apart[np.diag_indices(len(targets))] = np.inf
-        return bool((apart >= _CLOSEST).all() and (noise <= _MOST_NOISE).all())
+        return bool((apart >= _CLOSEST).all()) and fit.tells_apart(len(targets))
 
     def targets_of(self, fit: JointFit) -> Array:
         """Places (n, 2) of a fit without those of other echoes."""
