@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _MOST_TOGETHER = 3  # targets whose rates are fitted in pairs
 _MOST_COMBINED = 36  # pairs of rates of two targets that are fitted
+_SAME = 0.3  # cells, within which echoes of two fits are the same
 _PASSES = 3  # at most: what one target was tested beside may have another rate afterwards
 
 
@@ -73,6 +74,7 @@ class FittedTargets:
         echoes = self.echoes(fit)
         if self.waveform.n_slots == 1:  # no rate is measured
             return echoes
+        found, own = fit, echoes
         fit, echoes = self.at_rates(fit, echoes, [self.rates(echo)[0] for echo in echoes])
         for _ in range(_PASSES):
             before, more = fit, [np.zeros(0)] * self.n_targets  # open rates, from the target's own
@@ -83,6 +85,10 @@ class FittedTargets:
                 more[i] = np.array(echo.delay_rate_alternatives) - echo.delay_rate
             if fit is before:
                 break
+        if not fit.tells_apart(self.n_targets, found):  # targets that cancel fit any rate
+            fit, echoes = found, own
+            apart = [self.rates(echo) - echo.delay_rate for echo in own]
+            more = [some[np.abs(some) > self.waveform.max_delay_rate] for some in apart]
         fits, with_another = self.at_rates_of_pairs(fit)
         if with_another.any():
             noise_w = max(self.noise_w, *self.left_around_w(fits[0]))
@@ -198,11 +204,19 @@ def _likeliest(
     order = np.argsort(behind + np.sum((rates / USUAL_RATE) ** 2, axis=1) / 2, kind="stable")
     first, *others = order[behind[order] < CERTAIN].tolist()
     more: list[list[float]] = [[] for _ in rates.T]
-    for apart in rates[others] - rates[first]:
-        for open_rates, rate in zip(more, apart, strict=True):
+    for other in others:
+        if _are_the_same(fits[other], fits[first]):
+            continue
+        for open_rates, rate in zip(more, rates[other] - rates[first], strict=True):
             if np.abs(np.array([0.0, *open_rates]) - rate).min() > span / 2:
                 open_rates.append(float(rate))
     return fits[first], [np.array(open_rates) for open_rates in more]
+
+
+def _are_the_same(fit: JointFit, other: JointFit) -> bool:
+    """Whether two fits have the same echoes, in whatever order."""
+    places, others = (one.places[np.argsort(one.places[:, 1])] for one in (fit, other))
+    return bool(np.abs(places - others).max() < _SAME)
 
 
 def _with(echoes: Sequence[EchoMeasurement], i: int, rate: float) -> list[float]:

@@ -159,11 +159,13 @@ class _Search:
         return fit
 
     def at_best_rates(self, fit: JointFit) -> JointFit:
-        """A fit that leaves more than noise, at other rates of its targets if these leave less."""
+        """A fit that leaves more than noise, at other rates of its targets if these do not: of a
+        body no rates of points leave noise alone, and those that leave least are not its own.
+        """
         if len(self.targets_of(fit)) < 2 or self.strongest(fit)[0] <= 1:
             return fit
         (best, *_), _ = self.fitted(fit).at_rates_of_pairs(fit)
-        return best if self.is_sound(best) else fit
+        return best if self.is_sound(best) and self.strongest(best)[0] <= 1 else fit
 
     def fitted(self, fit: JointFit) -> FittedTargets:
         """The targets of a fit."""
