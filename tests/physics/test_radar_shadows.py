@@ -31,6 +31,7 @@ from tests.physics.radar_worlds import (
 from tests.physics.shadow_worlds import (
     BEND,
     DEEP,
+    Array,
     K,
     box,
     decibels,
@@ -48,6 +49,8 @@ from twin.radar.propagation.diffraction.knife_edge import (
     missing_edge_bound,
     missing_edge_factor,
 )
+from twin.radar.propagation.diffraction.rims import DiffractedPaths
+from twin.radar.propagation.diffraction.segments import Segment
 from twin.radar.propagation.solvers import trace
 from twin.scene import Pose, Rig, SceneObject
 
@@ -515,3 +518,18 @@ def test_sionna_rt_says_the_same_of_one_edge(height: float) -> None:
     ours = decibels(echo(screen(height)) / pattern(height)) / 2
     for polarization in ("V", "H"):
         assert ours == pytest.approx(sionna(height, polarization), abs=0.25)
+
+
+def test_an_edge_behind_a_mirrors_plane_by_rounding_leaves_no_nan(monkeypatch) -> None:
+    """A way by it has no point on the mirror; by where rays pass beside it, it has. Then a trace
+    ended with NumPy's error of a size.
+    """
+    turns = Segment.turns
+
+    def lost(segment: Segment, paths: DiffractedPaths, edges: Array) -> Array:
+        chain = turns(segment, paths, edges)
+        return np.full_like(chain, np.nan) if np.array_equal(edges, paths.stops) else chain
+
+    plain = echo(screen(0.02))
+    monkeypatch.setattr(Segment, "turns", lost)
+    assert echo(screen(0.02)) == pytest.approx(plain, abs=1e-4)

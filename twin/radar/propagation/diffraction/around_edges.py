@@ -119,6 +119,11 @@ def _point_paths(
 ) -> PointPaths:
     """Diffracted paths as `PointPaths`; ``unobstructed``: the direct ones without any obstacle."""
     chain = segment.turns(paths, paths.stops)
+    # An edge at a mirror's plane may be behind it by rounding: then as where the rays pass.
+    behind = np.flatnonzero(~np.isfinite(chain).all(axis=(0, 2)))
+    if len(behind):
+        some = paths.take(behind)
+        chain[:, behind] = segment.turns(some, some.stops + some.aside)
     last = len(chain) - 2 - segment.mirrors_before
     # Edges move with their obstacle: the path gets shorter as both approach their neighbours.
     ends = (chain[1] - chain[0], chain[-2] - chain[-1])
