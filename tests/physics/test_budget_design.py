@@ -34,6 +34,7 @@ def wall(distance_m: float, reflectance: float) -> Scene:
     return Scene("wall", Path(), "", (item,), Rig(here, detector=here), Sun(180.0, 0.0, 0.0))
 
 
+@pytest.mark.quick(5)
 @pytest.mark.parametrize(
     ("base", "text", "within"),
     [

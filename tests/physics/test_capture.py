@@ -217,6 +217,7 @@ def test_a_target_beyond_the_arrays_ambiguity_has_its_own_rate() -> None:
 # Traced, and reported.
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", ["prototype", "hybrid-79-mimo"])
 def test_a_traced_scene_is_measured_and_reported(name: str) -> None:
     """A concrete wall behind a target, from three stops: every burst finds both."""

@@ -316,6 +316,7 @@ def wall_before() -> Scene:
     return replace(scene, objects=(SceneObject("wall", Geometry(corners, faces), "w", BRIGHT),))
 
 
+@pytest.mark.thorough
 def test_light_of_orders_beyond_the_last_is_a_systematic_error_and_warned_of(
     tmp_path: Path,
 ) -> None:
@@ -333,6 +334,7 @@ def test_light_of_orders_beyond_the_last_is_a_systematic_error_and_warned_of(
     assert any("scatters more than 12 times" in str(warning) for warning in within.warnings)
 
 
+@pytest.mark.thorough
 def test_air_in_which_every_path_has_more_orders_leaves_errors_finite(tmp_path: Path) -> None:
     """An optical depth of 39, through which none of the walks comes within 12 orders."""
     thick = '[weather]\nvisibility_m = "1 m"\nsingle_scattering_albedo = 1.0\nasymmetry = 0.0\n'

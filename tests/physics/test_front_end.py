@@ -326,6 +326,7 @@ def closed_form(kind: Oscillator, wave: OfdmWaveform, delay_s: float, line: np.n
     return (noise * np.sinc(x) ** 2).sum(axis=1) * width
 
 
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("repeats", [8, 1])
 @pytest.mark.parametrize("delay", [8, 32, 64])
 @pytest.mark.parametrize("slope", [False, True])

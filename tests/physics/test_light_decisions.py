@@ -178,6 +178,7 @@ def test_both_tolerances_hold_together() -> None:
     assert not Fidelity().has_light_tolerance
 
 
+@pytest.mark.thorough
 def test_a_wire_across_the_field_is_met() -> None:
     """1 mm wide at 3 m, of which no cell but the outermost has a corner, before a dark wall: light
     of the image is within its tolerance, a tenth of that of the wire, in every one of 10 runs.
@@ -201,6 +202,7 @@ def test_a_wire_across_the_field_is_met() -> None:
         assert np.sqrt(np.mean((light.total - fine) ** 2)) < limit
 
 
+@pytest.mark.thorough
 def test_a_tolerance_that_is_not_kept_is_in_the_verdict() -> None:
     """A room's light to a hundred thousandth takes more paths than a cell may have."""
     room = body(trimesh.creation.box((4, 4, 4)), 0.5, at=(0.3, 0.2, 0.1))

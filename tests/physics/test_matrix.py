@@ -63,6 +63,7 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(start) -> None:
                 assert pixel[row, column + 1] > 0.999 * pixel.sum() > 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("depth", [1, pytest.param(5, marks=pytest.mark.whole)])
 def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> None:
     """16 LED rows x 16 columns of the yard, four patterns, both roles, against `projector` and

@@ -124,6 +124,7 @@ def test_malformed_waveform_files(tmp_path: Path, text: str, expected: str) -> N
 # Propagation.
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("distance_m", "rate"), [(10.0, 2.0), (50.0, 2.0), (140.0, 2.0), (50.0, -20.0)]
 )

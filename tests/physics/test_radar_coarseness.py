@@ -36,6 +36,7 @@ def test_a_coarse_sphere_is_warned_of_and_a_fine_one_is_not() -> None:
     assert "(and 1 more, by less)" in line
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("level", [4, 5])
 def test_the_error_is_as_large_as_said(level: int) -> None:
     """A sphere's echo in the optical limit against that of its facets at 9 frequencies and in 4

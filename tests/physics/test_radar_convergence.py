@@ -72,6 +72,7 @@ def estimates(found: Propagation) -> dict[str, float]:
     return {body.name: body.estimated_error for body in found.bodies}
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("tolerance", [0.3, 0.1, 0.03])
 def test_estimates_are_of_the_size_of_the_errors(scene: Scene, tolerance: float) -> None:
     """Errors against tolerance 0.01: 95 of 100 are to be within the estimate."""

@@ -80,6 +80,7 @@ def test_corner_reflectors_beside_edges(name: str) -> None:
         assert error < max(own.estimated_error * own.level_amplitude / abs(free), 0.004), edge_m
 
 
+@pytest.mark.thorough
 def test_over_the_band_too() -> None:
     """By 2 GHz aside of the carrier, where waves are up to 9 mm longer there and back."""
     points, body = opening("dihedral"), dihedral()

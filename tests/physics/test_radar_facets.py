@@ -461,6 +461,7 @@ def _tilted(
     return complex(-1j / (4 * np.pi) * area * terms.sum())
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("height", [0.2, 0.9])
 def test_a_ball_over_the_ground_against_geometrical_optics(height: float, tolerance: float) -> None:
@@ -516,6 +517,7 @@ def tilted_plate(tilt_deg: float, distance: float = 5.0) -> SceneObject:
     return reshaped(square, turn.apply(np.array(square.vertices_m)) + [distance, 0.0, 0.0])
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("tolerance", [0.3, 0.25, 0.1])
 @pytest.mark.parametrize(
     ("item", "times"),

@@ -38,6 +38,7 @@ def test_false_alarms_come_at_the_rate_asked_for(name: str, scene: str) -> None:
     assert 1 / 1.6 < alarms / (1e-3 * cells) < 1.6
 
 
+@pytest.mark.thorough
 def test_false_detections_where_noise_falls_with_range_come_at_the_rate_asked_for() -> None:
     """The prototype's default path at 1e-4: 20 maps, 51 due, between 0.5 and 1.5 times (3.5
     deviations). A fifth came, and weak echoes were lost, where its noise is 20 dB below its mean.

@@ -108,6 +108,7 @@ def test_a_plate_behind_a_box_answers_by_the_side_too(
     assert stated < (0.65 if radar == "obstacle" and reflection < 0 else 1.05)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("low_m", "divided"), [(-9.0, 0), (-9.0, 1), (-1.5, 1), (-1.5, 6)])
 def test_sides_of_long_boxes_and_of_divided_ones_reflect_too(low_m: float, divided: int) -> None:
     """Most of their edge is far aside, and each part of it may be shorter than a Fresnel zone."""

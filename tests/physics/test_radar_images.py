@@ -233,6 +233,7 @@ def test_a_plate_between_facing_walls_glints_in_whichever_image(tilt_deg: float)
     assert level == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_a_closed_room_of_metal_states_what_further_reflections_add() -> None:
     """Seen past a ball into a corner of the room, where three reflections return: each order of
     images adds as much as the one before, for nothing is lost. What up to five on a way add to
@@ -270,6 +271,7 @@ def test_orders_grow_by_places_not_by_ways_to_them(has_ceiling: bool, is_room: b
     assert further.objects.max() == (pytest.approx(1.5) if is_room else 1.0)
 
 
+@pytest.mark.thorough
 def test_declared_points_tell_that_more_reflections_lead_to_them() -> None:
     """Between four walls, of whose images of five reflections there are too many."""
     ceiling = quad("ceiling", [[-4, -6, 1.2], [14, -6, 1.2], [14, 6, 1.2], [-4, 6, 1.2]])

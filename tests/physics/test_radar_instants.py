@@ -253,6 +253,7 @@ def test_a_target_whose_object_is_drawn_elsewhere(carrier_x_m: float) -> None:
     assert off(received[:, rows], abs(found.paths[0].amplitude) * exact) < 0.013
 
 
+@pytest.mark.thorough
 def test_a_trajectory_that_ends_within_the_interval() -> None:
     """What is followed ends there: the last instant's echo goes on."""
     turn = np.array([[1.0, 0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]])
@@ -370,6 +371,7 @@ def test_the_time_of_reflections_is_divided_among_bodies(monkeypatch) -> None:
     assert 2 * (of_d + of_e) == next(clock) >= 6
 
 
+@pytest.mark.thorough
 def test_times_of_decisions_are_most_of_the_time_and_no_more() -> None:
     """Of a dihedral that passes: reflections, and the traces that tell that it changes, by which it
     is left out.
@@ -418,6 +420,7 @@ def test_asked_for_shadows_that_pass_are_traced() -> None:
     assert errors_by_body(scene, RADAR, found, knobs, times)["ball"] < 1.5 * 0.2
 
 
+@pytest.mark.thorough
 def test_what_several_instants_leave_out_is_stated() -> None:
     """A plate flies past a ball: between instants its echo is off by more than an instant's own
     error says, and within what is stated.

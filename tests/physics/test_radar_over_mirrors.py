@@ -319,6 +319,7 @@ def test_a_declared_target_has_the_waves_of_a_mirrors_border(border_m: float) ->
     assert echoes[1] / echoes[0] == pytest.approx((cut / free) ** 2, abs=0.03)
 
 
+@pytest.mark.quick(10)
 @pytest.mark.parametrize("thick_m", [0.1, 0.5, 2.0])
 @pytest.mark.parametrize("divided", [0, 1])
 @pytest.mark.parametrize("border_m", [-0.05, 0.0, 0.02, 0.1])
@@ -350,6 +351,7 @@ def test_where_a_wall_goes_on_it_has_no_border(border_m: float) -> None:
     assert stated(two) == pytest.approx(stated(one), rel=0.4)
 
 
+@pytest.mark.thorough
 def test_on_the_ground_a_wall_has_no_border() -> None:
     """Its lower edge is 5 cm below the way; in a right corner the waves of both cancel."""
     ground = quad("ground", [[-1, -4, -0.05], [5, -4, -0.05], [5, 7, -0.05], [-1, 7, -0.05]])

@@ -123,6 +123,7 @@ def test_what_has_corners_or_edges_in_common_with_a_surface_is_a_part() -> None:
             assert found.level_amplitude == pytest.approx(alone.level_amplitude, rel=0.03)
 
 
+@pytest.mark.thorough
 def test_waves_go_round_one_part_to_another() -> None:
     """What stands before another part is an obstacle to it: both were one body."""
     before = box("before", (8.0, 0.5, 0.0))

@@ -64,6 +64,7 @@ def test_a_way_by_the_very_edge_is_as_those_beside_it(fidelity, material: str, b
     assert at_edge == pytest.approx(np.mean(around), rel=0.01)
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("aside_m", [1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-3, 5e-3])
 def test_there_is_no_gap_beside_the_edge(aside_m: float) -> None:
     objects = corner("metal")

@@ -147,6 +147,7 @@ def test_a_way_over_the_ground_is_a_way() -> None:
     assert not agree(still, kept)
 
 
+@pytest.mark.thorough
 def test_a_body_that_appears_in_the_ground() -> None:
     """What comes into view of the ground alone: the plate hides it from the radar itself."""
     scene = world(
@@ -186,6 +187,7 @@ def test_a_bounce_between_bodies_is_a_way() -> None:
     assert agree(alone, kept)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("what", ["rig", "tolerance", "material", "mirror"])
 def test_nothing_is_kept_where_more_than_an_object_changed(what: str) -> None:
     scene = world(

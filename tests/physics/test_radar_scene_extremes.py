@@ -87,6 +87,7 @@ def test_degenerate_and_duplicate_faces_change_nothing() -> None:
     assert abs(one - other) < 2e-3 * abs(one)
 
 
+@pytest.mark.thorough
 def test_an_open_mesh_answers_from_either_side() -> None:
     """Half a ball: its bulge as the whole one, its hollow by what it focuses, finite."""
     whole = ball("b", (10, 0, 0), level=5)

@@ -219,6 +219,7 @@ def test_no_wave_passes_between_boxes_that_touch(seam: str, place: tuple[float, 
     assert abs(echo_behind_mirrors(*boxes, place=(10.0, *place))) < 0.01
 
 
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("gap", [0.01, 0.03, 0.1, 0.3, 1.0, 3.0])
 @pytest.mark.parametrize("kind", ["slit", "jut", "layers"])
 def test_screens_behind_each_other_are_kirchhoffs_double_integral(kind: str, gap: float) -> None:

@@ -315,6 +315,7 @@ def test_legs_are_sionnas() -> None:
         assert path.amplitude / expected == pytest.approx(1, abs=bound)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("item", "rig", "material"),
     [

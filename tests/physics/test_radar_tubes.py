@@ -93,6 +93,7 @@ def test_a_leaning_dihedral(tilt_deg: float, tolerance: float) -> None:
     assert abs(further(world(item), tolerance) / expected - 1) < tolerance
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("level", [5, 6])
 def test_a_ball_in_a_mirror(level: int) -> None:
     """Lit by way of it and heard straight on, by geometrical optics, which at any angle gives a

@@ -102,6 +102,7 @@ def test_dihedral_far_and_near(sent) -> None:
         )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("distance_m", [5.0, 20.0, 150.0])
 def test_trihedral_is_the_surface_integral(distance_m: float) -> None:
     """Legs of a 10 m^2 reflector, three bounces; with the closed form 4 pi a^4 / 3 lambda^2."""

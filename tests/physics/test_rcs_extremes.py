@@ -96,6 +96,7 @@ def test_errors_near_by_stay_within_the_tolerance(radar: Radar, tolerance: float
     assert abs(found.amplitude[0] / expected - 1) < tolerance
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("tolerance", [0.1, 0.01, 0.001])
 @pytest.mark.parametrize("tilt_deg", [0.0, 10.0])
 def test_errors_of_shadows_stay_within_the_tolerance(tilt_deg: float, tolerance: float) -> None:

@@ -145,6 +145,7 @@ def test_the_head_of_an_array_that_is_no_python_is_one_line(finished, damaged) -
         run_sweep(path, out=out)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("is_finished", [True, False])
 def test_a_missing_file_of_points_is_computed_again(finished, is_finished: bool) -> None:
     """Each of them, and the journal; cut short likewise."""

@@ -37,6 +37,7 @@ def signal(out: Path) -> float:
     return float(open_sweep(out)["signal_e_per_s"][0])
 
 
+@pytest.mark.thorough
 def test_a_sweep_that_is_killed_while_it_begins_begins_again(tmp_path: Path) -> None:
     """SIGKILL at the moment when room for the results is taken, which is before anything says
     whose folder it is: the same command works, and nothing of the first is left.
@@ -210,6 +211,7 @@ def test_what_a_metric_imports_belongs_to_it(tmp_path: Path) -> None:
     assert digests[0][name] == digests[2][name] != digests[1][name]
 
 
+@pytest.mark.thorough
 def test_workers_that_live_long_see_the_new_system(tmp_path: Path) -> None:
     """A scheduler whose worker has computed with the old file."""
     from distributed import LocalCluster

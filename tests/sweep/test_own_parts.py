@@ -44,6 +44,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_a_study_takes_functions_from_files(folder: Path, workers: int) -> None:
     """Files are found beside the study, in this process and in another: a plain inverse gives what

@@ -110,6 +110,7 @@ def test_arrays_are_values() -> None:
     assert study.point(0)["seed"] == 0
 
 
+@pytest.mark.thorough
 def test_results_are_of_one_content() -> None:
     """Of objects, of a function's source and of what it closes over."""
 

@@ -174,6 +174,7 @@ def _kill_after(monkeypatch: pytest.MonkeyPatch, lines: int) -> None:
     monkeypatch.setattr(Store, "_append", killed)
 
 
+@pytest.mark.thorough
 def test_a_sweep_killed_while_it_refines_goes_on_to_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -125,6 +125,7 @@ def test_a_sensor_in_the_dark_leaves_nothing_out_of_the_suns_light_of_others(stu
             assert abs(one.value - other.value) <= 1.5 * (one.half_width + other.half_width)
 
 
+@pytest.mark.thorough
 def test_bits_do_not_depend_on_which_point_comes_first(study) -> None:
     plan = load_study(study(SENSORS, HEAD))
     together = evaluate_chunk(plan, 0, plan.n_points).values["psnr_db"]
@@ -249,6 +250,7 @@ def test_what_no_accuracy_can_be_is_told(said: dict, complaint: str) -> None:
         Study(name="s", metrics=["psnr_db"], set=said)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("asked", ["0.1, 0.5 dB", "2 mm"])
 def test_an_error_of_the_radar_is_refused_where_no_metric_looks_at_it(
     study, tmp_path: Path, asked: str

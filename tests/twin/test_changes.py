@@ -156,6 +156,7 @@ def test_scenes_change_by_the_names_of_a_study() -> None:
         assert a.position_m[1] == pytest.approx(b.position_m[1] + 2 * own)
 
 
+@pytest.mark.quick(6)
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

@@ -75,6 +75,7 @@ def test_an_accuracy_that_cannot_be_kept_is_refused_with_the_plan() -> None:
             plan(fidelity=wrong)
 
 
+@pytest.mark.thorough
 def test_a_log_cut_at_any_byte_is_gone_on_with_to_the_same_bytes(
     whole: Path, tmp_path: Path
 ) -> None:
@@ -477,6 +478,7 @@ def test_states_at_many_times_are_those_of_the_scene_at_each() -> None:
             np.testing.assert_allclose(found.twists[row], rates, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_samples_of_the_truth_do_not_depend_on_which_is_asked_for_first() -> None:
     crossing = plan(scene=load_scene("crossing"), duration_s=1.5)
     in_order = TruthSamples(crossing)

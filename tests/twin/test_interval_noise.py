@@ -51,6 +51,7 @@ def test_scores_with_another_seed_are_within_their_intervals(snr: float, n_patte
         assert stated <= 3 * scatter, name  # nor any width
 
 
+@pytest.mark.thorough
 def test_scores_of_many_captures_scatter_as_stated() -> None:
     """Each capture states its scatter from draws of its own, so that over 60 captures the root mean
     square is right to 2 %, and the true scatter known to 9 %. The same 16 draws of all captures
@@ -197,6 +198,7 @@ def test_snr_scatters_with_the_level_and_with_the_noise_of_the_map() -> None:
     assert drawn[0].noise <= 2 * np.std([interval.value for interval in drawn], ddof=1)
 
 
+@pytest.mark.thorough
 def test_targets_near_the_threshold_are_counted_with_their_scatter() -> None:
     """At a power where about half of the targets are detected, over 12 seeds; and with all of the
     power, where none is missed, the number is sure.

@@ -500,21 +500,22 @@ def _ends_interrupted(script: str, tmp_path: Path) -> None:
 
 
 def test_help_is_quick() -> None:
-    """At most twice the processor time of the command line's library: nothing heavy behind it."""
+    """At most three times the processor time of the command line's library, in turns: no renderer,
+    no plots, no NumPy behind it.
+    """
 
-    def least_s(*arguments: str) -> float:
-        times = []
-        for _ in range(5):
-            before = os.times()
-            subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
-            after = os.times()
-            user = after.children_user - before.children_user
-            times.append(user + after.children_system - before.children_system)
-        return min(times)
+    def took_s(*arguments: str) -> float:
+        before = os.times()
+        subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+        after = os.times()
+        user = after.children_user - before.children_user
+        return user + after.children_system - before.children_system
 
-    library_s = least_s("-c", "import typer")  # 0.2 s on a slow machine, where the help takes 0.3
-    assert least_s("-m", "twin", "--help") < 2 * library_s
-    assert least_s("-c", "import hardware") < library_s
+    commands = ("-c", "import typer"), ("-m", "twin", "--help"), ("-c", "import hardware")
+    turns = np.array([[took_s(*command) for command in commands] for _ in range(5)])
+    library_s, help_s, vehicle_s = turns.min(axis=0)  # 0.2 s on a slow machine, 0.25, and 0.05
+    assert help_s < 3 * library_s
+    assert vehicle_s < library_s
 
 
 def test_wrong_grids_are_not_compared() -> None:

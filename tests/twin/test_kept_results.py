@@ -217,6 +217,7 @@ def _expect_kept_times(first: Sequence[Decision], again: Sequence[Decision]) -> 
         assert kept.cost == (made.cost and f"{made.cost} of an earlier run")
 
 
+@pytest.mark.thorough
 def test_light_is_kept_bit_for_bit(tmp_path: Path, monkeypatch) -> None:
     scene, system = load_scene("crossing"), load_system("workable")
     first = capture(scene, system, seed=3, fidelity=DRAFT, kept=KeptResults(tmp_path))

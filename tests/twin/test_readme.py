@@ -26,6 +26,7 @@ def block(page: str, name: str) -> str:
     return body
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("page", "told"),
     [

@@ -131,6 +131,7 @@ def test_an_unchanged_method_passes(project, pytester) -> None:
     assert not (pytester.path / "regression-pictures").exists()
 
 
+@pytest.mark.thorough
 def test_a_loss_of_a_fifth_of_a_decibel_fails_with_pictures(project, pytester) -> None:
     project(ITSELF, "--update-baseline", "first of all").assert_outcomes(passed=1)
     result = project(WORSE)
@@ -145,6 +146,7 @@ def test_a_loss_of_a_fifth_of_a_decibel_fails_with_pictures(project, pytester) -
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_a_gain_passes_and_is_offered_as_the_new_baseline(project) -> None:
     project(WORSE, "--update-baseline", "with a fault").assert_outcomes(passed=1)
     result = project(ITSELF)

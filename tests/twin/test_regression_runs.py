@@ -184,6 +184,7 @@ def test_a_metric_of_ones_own(twin_truth, tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.thorough
 def test_faults_of_a_detector_show_in_its_figures(twin_truth) -> None:
     """Ranges 5 mm too long, all beyond 10 m dropped, a ghost: each in the metrics that are its.
 

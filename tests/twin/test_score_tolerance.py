@@ -26,6 +26,7 @@ def small(**changes: object) -> System:
     return load_system("workable").with_({**usual, "readout.adc_bits": 24, **changes})
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("tolerance", [Tolerance(psnr_db=0.2), Tolerance(ssim=0.003)], ids=str)
 def test_scores_are_as_exact_as_asked(tolerance: Tolerance) -> None:
     """Of eight renders at the knobs that were found, at least seven have the score of 4096 paths a

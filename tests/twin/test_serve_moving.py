@@ -120,6 +120,7 @@ def test_frames_are_those_of_the_world_at_their_own_instants() -> None:
         assert record.sequence.tolist() == list(range(16 * number, 16 * (number + 1)))
 
 
+@pytest.mark.thorough
 def test_a_device_that_computes_slowly_sends_late_and_says_so(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -422,6 +422,7 @@ def touched(n_bytes: int) -> mmap.mmap:
     return block
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("forgets", [True, False], ids=["high-water mark", "sampled"])
 def test_time_and_memory_are_the_works_own(forgets, monkeypatch, tmp_path) -> None:
     """64 MiB for 30 ms, after 512 MiB that are gone: 60 to 100 MiB; the first run counts not."""
@@ -524,6 +525,7 @@ def twin(*arguments: str, monkeypatch, capsys) -> tuple[int, str, str]:
     return stopped.value.code or 0, streams.out, streams.err
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("few_levels")
 def test_the_command_prints_table_check_and_choice(small, monkeypatch, capsys, tmp_path) -> None:
     out = tmp_path / "out"

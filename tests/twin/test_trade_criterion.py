@@ -175,6 +175,7 @@ def test_a_share_of_the_noise_is_the_same_as_a_number(monkeypatch: pytest.Monkey
     assert asked == [0.3, 0.3, Tolerance(echo_db=0.5)]
 
 
+@pytest.mark.thorough
 def test_the_command_chooses_by_a_cells_light(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -470,6 +470,7 @@ def test_what_fog_does_to_distances_is_told(
 FACING = '<rotate y="1" angle="-90"/>'
 
 
+@pytest.mark.thorough
 def test_fog_makes_no_image_better(tmp_path: Path) -> None:
     """A grey wall at 10 m in ever thicker fog. The plain inverse's error is the noise alone, so its
     score follows from the scene's light and that noise (closed form; 256 cells leave 0.4 dB of
@@ -490,6 +491,7 @@ def test_fog_makes_no_image_better(tmp_path: Path) -> None:
     assert (np.array(scores)[-1, :, 1] < np.array(scores)[0, :, 1]).all()
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("place", "text"),
     [

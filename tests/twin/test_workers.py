@@ -59,6 +59,7 @@ def test_a_process_has_one_object_of_what_is_shared() -> None:
         assert submit.result(submit(sum, submit.share([3.0, 4.0]))) == 7
 
 
+@pytest.mark.thorough
 def test_large_work_is_sent_without_words(recwarn: pytest.WarningsRecorder) -> None:
     """Dask warns of more than 10 MB."""
     with dask(None, 1) as submit:
@@ -79,6 +80,7 @@ def test_no_worker_is_waited_for_when_it_is_over(running: LocalCluster) -> None:
         pass
 
 
+@pytest.mark.thorough
 def test_a_worker_without_the_project_is_left_out(
     running: LocalCluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,6 +149,7 @@ def test_an_early_end_leaves_no_words_of_pythons_own(tmp_path) -> None:
     assert (done.returncode, done.stderr) == (130, "")
 
 
+@pytest.mark.thorough
 def test_ctrl_c_in_a_terminal_reaches_the_main_process_alone() -> None:
     """It goes to all processes of the terminal; workers that still imported printed a trace."""
     with dask(None, 2) as submit:
