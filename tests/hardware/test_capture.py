@@ -192,6 +192,7 @@ def test_a_signal_finishes_the_log_and_stops_the_camera(
     assert f"{n} records" in out
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize(
     ("command", "limit"),

@@ -81,6 +81,7 @@ def evidence(record: SpiRecord, most_rows: int) -> Evidence:
     return Evidence.of(PATTERNS, timed, measurements(record).noise_variance, most_rows)
 
 
+@pytest.mark.thorough
 def test_a_box_that_all_measurements_refute_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     """The coarsest measurements are likelier by the large box than by rest (+55); its image is
     3.0 dB worse than that of rest, and all measurements tell (-373).

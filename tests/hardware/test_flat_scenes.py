@@ -16,6 +16,7 @@ from hardware.reconstruction.noise import most_noise, most_scatter, scatter_of_f
 FEW = {"whole": ("sequency", 64), "sequency": ("sequency", 23), "coarse": ("cake-cutting", 10)}
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("mode", ["plain", "reference", "s-matrix"])
 @pytest.mark.parametrize("which", FEW)
 def test_errors_of_few_patterns_cover(mode: Any, which: str) -> None:

@@ -229,6 +229,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert (topics.count("/radar/tracks"), topics.count("/spi/image")) == (4, 4)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("motion", "told"),
     [

@@ -313,6 +313,7 @@ def test_a_record_of_zeros_alone_is_refused(command: tuple[str, ...], tmp_path: 
     assert not (tmp_path / "result").exists()
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("command", [("detect",), ("image",), ("process",), _SPECTROGRAM])
 def test_a_burst_of_zeros_is_left_out(command: tuple[str, ...], tmp_path: Path) -> None:
     record = _record(3)
@@ -324,6 +325,7 @@ def test_a_burst_of_zeros_is_left_out(command: tuple[str, ...], tmp_path: Path) 
     assert "-inf" not in done.stdout
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     "command", [("detect",), ("image",), ("process",), _SPECTROGRAM, _CALIBRATE]
 )

@@ -172,6 +172,7 @@ def test_warps_that_are_shifts_are_shifts() -> None:
     np.testing.assert_allclose(one.forward(x), other.forward(x), atol=2e-3 * N * N)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "motion", [SHIFT, AS_HOMOGRAPHY, CellMotion(np.zeros((N, N, 2)) + (DOWN, RIGHT))]
 )
@@ -272,6 +273,7 @@ def test_one_pattern_is_its_level() -> None:
     assert found.mean() == pytest.approx(1e5 * resting(0.0).mean(), rel=0.01)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("mode", ["differential", "plain", "reference", "s-matrix"])
 def test_standard_errors_hold_the_cells(mode: str) -> None:
     """Pooled over scenes: 93 to 99.9 % of all cells within `errors_in_95` of them, and a mean

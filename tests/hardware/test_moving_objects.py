@@ -78,6 +78,7 @@ def test_an_object_of_its_own_motion(count: int) -> None:
     assert found > max(others) + 3
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("box", [EDGES, (9.31, 11.02, 21.87, 23.4)])
 @pytest.mark.parametrize("oversampling", [2, 4])
 def test_a_bright_object_is_measured_where_it_is(oversampling: int, box: tuple[float, ...]) -> None:
@@ -102,6 +103,7 @@ def test_a_bright_object_is_measured_where_it_is(oversampling: int, box: tuple[f
         )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("edges", [(3.5, 4.5, 9.5, 10.5), (3.25, 4.8, 9.7, 10.15)])
 @pytest.mark.parametrize("noise", [0.3, 0.03])
 def test_standard_errors_hold_beside_a_bright_box(edges: tuple[float, ...], noise: float) -> None:

@@ -131,6 +131,7 @@ def test_an_image_that_is_not_smoothed_has_all_of_its_noise_in_its_error(mode: A
     assert np.mean(np.abs(within) < 1.96) > 0.93
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("mode", ["differential", "complementary"])
 @pytest.mark.parametrize(("rows", "columns"), [(1, 2), (2, 2), (2, 4), (4, 8)])
 def test_errors_of_as_few_pairs_as_cells_hold(mode: Any, rows: int, columns: int) -> None:

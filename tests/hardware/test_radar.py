@@ -156,6 +156,7 @@ def test_noise_floor_is_noise_over_cells_times_the_windows_loss(window: str) -> 
     assert image.power_w.mean() == pytest.approx(expected, rel=0.08)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("oversampling", [1, 2])
 @pytest.mark.parametrize("n_channels", [1, 4])
 @pytest.mark.parametrize("window", ["boxcar", "blackmanharris"])
@@ -175,6 +176,7 @@ def test_the_noise_floor_scatters_by_its_standard_error(
 # Detections.
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("false_alarm", [1e-2, 1e-3, 1e-4])
 def test_false_alarms_come_at_the_rate_asked_for(false_alarm: float) -> None:
     """Cells of 2^20 exponential ones above the threshold: a Poisson number, bounds at 1e-6."""

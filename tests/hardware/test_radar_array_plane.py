@@ -57,6 +57,7 @@ def bounds_rad(burst: DemodulatedBurst, angles: np.ndarray, snr: float) -> np.nd
     return np.sqrt(np.diag(np.linalg.inv(2 * snr * slope.T @ slope)))
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(
     ("places_m", "degrees", "at_deg"),
     [

@@ -51,6 +51,7 @@ def test_grating_lobes_are_alternatives() -> None:
     np.testing.assert_allclose(np.sort(np.sin(azimuths)), told)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("level_db", [11.0, 14.0, 17.0, 25.0])
 def test_the_true_direction_is_among_those_told(level_db: float) -> None:
     """1000 draws: the true lobe is missing in at most 6, a likelihood ratio of 1000 would leave

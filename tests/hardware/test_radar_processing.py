@@ -425,6 +425,7 @@ def test_turns_that_are_none_are_refused() -> None:
     )
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("cells", [2.5, 3.0, 3.5, 4.0])
 def test_two_alike_echoes_near_each_other_are_within_their_errors(cells: float) -> None:
     """At 40 dB, 8 seeds: rms over what is stated, of 16 numbers each below 1.6 (1.6e-4 of false

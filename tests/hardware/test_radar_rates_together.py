@@ -31,6 +31,7 @@ def _frames(cells: tuple[float, float], moving_only: bool):
         yield process(record, how=how).detections, np.array(cells) * cell
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("moving_only", [False, True])
 @pytest.mark.parametrize("cells", [(5.0 - 64, 6.0), (40.0, 41.1)])
 def test_targets_of_one_cell_have_the_rates_that_explain_them_together(

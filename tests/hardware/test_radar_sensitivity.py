@@ -53,6 +53,7 @@ def at(found: list[Detection], place, cells: float = 2.0) -> list[Detection]:
     return [d for d, is_near in zip(found, near, strict=True) if is_near]
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("snr_db", [20.0, 30.0, 50.0])
 def test_the_default_reaches_the_cramer_rao_bound(snr_db: float) -> None:
     """150 runs, 1.1 times the bound allowed: an RMSE of 150 scatters by 5.8 %.

@@ -37,6 +37,7 @@ def _pulls(frame: Frame, cells: list[float]) -> list[float]:
     return pulls
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("resolve", [False, True])
 @pytest.mark.parametrize("n_slots", [3, 4, 6, 8, 16])
 def test_errors_of_rates_hold_what_is_taken_with_the_static(n_slots: int, resolve: bool) -> None:
@@ -57,6 +58,7 @@ def test_errors_of_rates_hold_what_is_taken_with_the_static(n_slots: int, resolv
     assert max(pulls) < 4.5
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("apart", [(0.0, 0.7), (1.5, 0.0)])
 @pytest.mark.parametrize("n_slots", [3, 4, 6])
 def test_targets_of_few_slots_are_split(n_slots: int, apart: tuple[float, float]) -> None:

@@ -47,6 +47,7 @@ def moving(azimuth_rad: float, rate_m_per_s: float, **more) -> Echo:
     return Echo(tuple(20 * towards), velocity_m_per_s=tuple(rate_m_per_s * towards), **more)
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("array", [LINE, BY_TURNS], ids=["at once", "by turns"])
 @pytest.mark.parametrize("phase_rad", [0.0, 0.01, 0.05])
 def test_stated_errors_hold_phases_of_slots(array: dict, phase_rad: float) -> None:
@@ -102,6 +103,7 @@ def test_transmitters_by_turns_keep_phases_that_the_leakage_told(phase_rad: floa
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("array", [LINE, BY_TURNS], ids=["at once", "by turns"])
 @pytest.mark.parametrize("second_db", [55.0, 62.0])
 def test_a_second_echo_at_the_delay_does_not_hide_phases_of_slots(

@@ -58,6 +58,7 @@ def record(wave: OfdmWaveform, received: np.ndarray) -> RadarRecord:
     )
 
 
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("symbols", SYMBOLS)
 @pytest.mark.parametrize("window", ["blackmanharris", "boxcar"])
 def test_ranges_and_levels_of_what_is_fast(symbols: str, window: str) -> None:

@@ -154,6 +154,7 @@ def test_an_echo_is_not_taken_for_the_middle_of_its_gate() -> None:
     assert found.error_s * C_M_PER_S / 2 == pytest.approx(1.73, abs=0.01)
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize(
     ("every_s", "width_s", "pulse_s"),
     [

@@ -88,16 +88,13 @@ def test_a_frame_that_is_refused_is_told_with_the_reason(
     assert "expected 0 to 65535" in told
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("off_s", "told"),
     [
         (-1000.0, "s after it was started, which by its number takes"),
         (2.0, "to which that has not come when the frame arrives"),
-        pytest.param(
-            3600.0,
-            "to which that has not come when the frame arrives",
-            marks=pytest.mark.thorough,
-        ),
+        (3600.0, "to which that has not come when the frame arrives"),
     ],
 )
 def test_frames_whose_times_are_not_those_of_the_clock_are_refused(
