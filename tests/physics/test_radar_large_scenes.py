@@ -26,7 +26,7 @@ from tests.physics.radar_worlds import (
 from twin.errors import InputError
 from twin.fidelity import DEFAULT, Fidelity
 from twin.geometry.near_boxes import near_pairs
-from twin.radar.propagation import physical_optics_solver, prepared_scene
+from twin.radar.propagation import followed_images, physical_optics_solver, prepared_scene
 from twin.radar.propagation.diffraction import fringes
 from twin.radar.propagation.facets import (
     adaptive_subdivision,
@@ -132,7 +132,7 @@ def test_bounds_do_not_cost_a_town_more_than_fixed_knobs(monkeypatch) -> None:
     look at.
     """
     scene = town(60)
-    monkeypatch.setattr(physical_optics_solver, "MOST_ECHO_PATHS", 10_000)
+    monkeypatch.setattr(followed_images, "MOST_ECHO_PATHS", 10_000)
     _, fixed = work_of(scene, Fidelity(), monkeypatch)
     found, by_bounds = work_of(scene, DEFAULT, monkeypatch)
     assert by_bounds["rays"] <= fixed["rays"]
@@ -156,7 +156,7 @@ def test_too_many_images_by_hand_are_refused(monkeypatch) -> None:
         raise AssertionError("echoes were looked for")
 
     scene, twice = town(60), Fidelity(radar_images=2)
-    paths = physical_optics_solver._echo_paths(staged(scene, 2))
+    paths = followed_images.echo_paths(staged(scene, 2))
     with monkeypatch.context() as patched:
         patched.setattr(physical_optics_solver, "scattered", never)
         with pytest.raises(
@@ -164,15 +164,15 @@ def test_too_many_images_by_hand_are_refused(monkeypatch) -> None:
         ) as told:
             trace(town(3000), RADAR, fidelity=twice)
         assert "set fidelity.radar_images = 1, or leave it to a tolerance" in str(told.value)
-        patched.setattr(physical_optics_solver, "MOST_PATHS_BY_HAND", paths - 1)
+        patched.setattr(followed_images, "MOST_PATHS_BY_HAND", paths - 1)
         for most in (2, 9):  # nor are images of nine reflections looked for
             with pytest.raises(InputError, match=f"{len(staged(scene, 2).all_images) - 1} images"):
                 trace(scene, RADAR, fidelity=twice.with_(radar_images=most))
         with pytest.raises(AssertionError, match="echoes were looked for"):
             trace(scene, RADAR, fidelity=Fidelity(radar_images=1))
         # What else bounds decide on takes longer, over the same paths.
-        patched.setattr(physical_optics_solver, "MOST_PATHS_BY_HAND", paths)
-        patched.setattr(physical_optics_solver, "MOST_ECHO_PATHS", paths - 1)
+        patched.setattr(followed_images, "MOST_PATHS_BY_HAND", paths)
+        patched.setattr(followed_images, "MOST_ECHO_PATHS", paths - 1)
         with pytest.raises(InputError, match="radar_images = 2"):
             trace(scene, RADAR, fidelity=DEFAULT.with_(radar_images=2))
         with pytest.raises(AssertionError, match="echoes were looked for"):

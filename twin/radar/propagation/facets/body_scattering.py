@@ -6,16 +6,19 @@ earlier frame that are still valid count in both.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.radar.propagation.facets.band_sums import band_sums
+from twin.radar.propagation.facets.currents import Echoes
 from twin.radar.propagation.facets.earlier import Sums, TracedEchoes
 from twin.radar.propagation.facets.echo_search import Search
 from twin.radar.propagation.facets.error_budget import Budget, Leaves
 from twin.radar.propagation.facets.front_facets import (
+    FrontFacets,
     bistatic_facets,
     illuminated_facets,
     portions,
@@ -26,6 +29,7 @@ from twin.radar.propagation.facets.reflections import (
     ReflectionChoice,
     Tally,
 )
+from twin.radar.propagation.facets.root_tubes import RootTubes
 from twin.radar.propagation.facets.scatterers import Scatterers
 from twin.radar.propagation.facets.uniform_subdivision import finer_spacing_of
 from twin.radar.propagation.facets.validity import Valid
@@ -86,88 +90,179 @@ def scattered_by(
     with_footprints
         Whether footprints are stored, so that later frames may reuse these echoes.
     """
-
-    def without(fell: NDArray[np.bool_]) -> TracedEchoes:
-        assert valid is not None
-        return scattered_by(
-            context,
-            scatterers,
-            images,
-            wave_numbers,
-            tolerance,
-            bounces,
-            floor,
-            valid.without(fell),
-            by_images=by_images,
-            further_images=further_images,
-        )
-
-    count = int(scatterers.body.max()) + 1
-    facets = bistatic_facets(context, scatterers, images, None if valid is None else valid.paths)
-    tally, most = None, bounces or MOST_BOUNCES
-    if bounces is None or by_images:
-        order = np.array([len(image.patches) for image in images])
-        permitted = OF_TOLERANCE * tolerance
-        tally = Tally(
-            count,
-            wave_numbers,
-            order,
-            permitted,
-            bounces,
-            by_images=by_images,
-            further_images=further_images,
-        )
-    search = Search(
+    task = _Task(
         context,
         scatterers,
         images,
-        most,
-        [] if with_footprints else None,
-        by_bounds=tally is not None,
-    )
-    earlier_echoes = None
-    if valid is not None:
-        sums = valid.sums
-        owner = scatterers.body[sums.face]
-        earlier_echoes = band_sums(owner, count, sums.echo, sums.length_m, wave_numbers)
-    coarse = Budget(
-        count,
-        max(tolerance, _COARSE),
         wave_numbers,
-        floor,
-        earlier_echoes=earlier_echoes,
-        tally=tally,
-        counts_errors=tally is not None,  # which bounds errors of reflections by these
-    )
-    whole = (facets, facets.echoes()) if len(facets) else None
-    if whole is None:
-        coarse.estimate_levels([])
-    tubes, spacing_m = None, 0.0
-    if most > 1:
-        begin = illuminated_facets(
-            context, scatterers, images, None if valid is None else valid.tubes
-        )
-        spacing_m = valid.spacing_m[1] if valid else finer_spacing_of(context, begin.sizes())
-        tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
-    search.leaves(whole, tubes, coarse, _COARSE_DEPTH)
-    if valid is not None and (fell := _fell(valid, coarse.level, tolerance)).any():
-        return without(fell)
-    found = whole, tubes
-    if tally is not None:
-        search = search.within(tally.limits(coarse.level))
-        whole, tubes = search.part_of(*found)
-    budget = Budget(
-        count,
         tolerance,
-        wave_numbers,
+        bounces,
         floor,
-        coarse,
-        earlier_echoes=earlier_echoes,
-        tally=tally and tally.fine(),
-        counts_ranges=True,
+        by_images=by_images,
+        further_images=further_images,
     )
-    budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
-    parts = search.leaves(whole, tubes, budget, _DEEPEST)
+    found = task.traced(valid, with_footprints=with_footprints)
+    while isinstance(found, _Fell):
+        found = task.traced(found.rest, with_footprints=False)
+    return found
+
+
+class _Fell(NamedTuple):
+    """Of an earlier frame too much was left out of some bodies; ``rest``: what holds of others."""
+
+    rest: Valid | None
+
+
+class _Begun(NamedTuple):
+    """Undivided: facets with their echoes, and the roots of ray tubes; None of none."""
+
+    facets: tuple[FrontFacets, Echoes] | None
+    tubes: RootTubes | None
+
+
+class _Refined(NamedTuple):
+    """What was found to a tolerance: parts of facets, by which search, within which budget."""
+
+    parts: list[Leaves]
+    search: Search
+    budget: Budget
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is asked for, as of `scattered_by`."""
+
+    context: TracingContext
+    scatterers: Scatterers
+    images: Sequence[Image]
+    wave_numbers: Array
+    tolerance: float
+    bounces: int | None
+    floor: float
+    by_images: bool
+    further_images: Array | None
+
+    def traced(self, valid: Valid | None, *, with_footprints: bool) -> TracedEchoes | _Fell:
+        """All echoes; or what holds of an earlier frame, if that is less than ``valid``."""
+        tally = self._tally()
+        by_bounds = tally is not None
+        search = Search(
+            self.context,
+            self.scatterers,
+            self.images,
+            self.bounces or MOST_BOUNCES,
+            [] if with_footprints else None,
+            by_bounds=by_bounds,
+        )
+        begun, spacing_m = self._begun(search, valid)
+        # Errors of reflections are bounded by those of a coarse pass.
+        coarse = self._budget(
+            max(self.tolerance, _COARSE), valid, tally=tally, counts_errors=by_bounds
+        )
+        if begun.facets is None:
+            coarse.estimate_levels([])
+        search.leaves(*begun, coarse, _COARSE_DEPTH)
+        if valid is not None and (fell := _fell(valid, coarse.level, self.tolerance)).any():
+            return _Fell(valid.without(fell))
+        budget = self._budget(
+            self.tolerance, valid, coarse, tally=tally and tally.fine(), counts_ranges=True
+        )
+        budget.earlier_spacing_m = (valid and valid.spacing_m[0]) or None
+        if tally is not None:
+            search = search.within(tally.limits(coarse.level))
+        fine = _refined(search, begun, budget, tally)
+        if valid is not None and (fell := _fell(valid, fine.budget.level, self.tolerance)).any():
+            return _Fell(valid.without(fell))
+        return self._echoes(fine, valid, tally, spacing_m)
+
+    def _tally(self) -> Tally | None:
+        """Of reflections, where bounds decide on them."""
+        if self.bounces is not None and not self.by_images:
+            return None
+        return Tally(
+            self._n_bodies,
+            self.wave_numbers,
+            np.array([len(image.patches) for image in self.images]),
+            OF_TOLERANCE * self.tolerance,
+            self.bounces,
+            by_images=self.by_images,
+            further_images=self.further_images,
+        )
+
+    @property
+    def _n_bodies(self) -> int:
+        return int(self.scatterers.body.max()) + 1
+
+    def _budget(
+        self,
+        tolerance: float,
+        valid: Valid | None,
+        coarse: Budget | None = None,
+        *,
+        tally: Tally | None,
+        counts_errors: bool = True,
+        counts_ranges: bool = False,
+    ) -> Budget:
+        """With the echoes of an earlier frame that are ``valid``."""
+        count, earlier_echoes = self._n_bodies, None
+        if valid is not None:
+            owner, sums = self.scatterers.body[valid.sums.face], valid.sums
+            earlier_echoes = band_sums(owner, count, sums.echo, sums.length_m, self.wave_numbers)
+        return Budget(
+            count,
+            tolerance,
+            self.wave_numbers,
+            self.floor,
+            coarse,
+            earlier_echoes=earlier_echoes,
+            tally=tally,
+            counts_errors=counts_errors,
+            counts_ranges=counts_ranges,
+        )
+
+    def _begun(self, search: Search, valid: Valid | None) -> tuple[_Begun, float]:
+        """What is not ``valid`` of an earlier frame, and the spacing of ray tubes' roots."""
+        setting = self.context, self.scatterers, self.images
+        facets = bistatic_facets(*setting, None if valid is None else valid.paths)
+        whole = (facets, facets.echoes()) if len(facets) else None
+        if search.bounces == 1:
+            return _Begun(whole, None), 0.0
+        begin = illuminated_facets(*setting, None if valid is None else valid.tubes)
+        spacing_m = valid.spacing_m[1] if valid else finer_spacing_of(self.context, begin.sizes())
+        tubes = search.root_tubes(begin, spacing_m) if len(begin) else None
+        return _Begun(whole, tubes), spacing_m
+
+    def _echoes(
+        self, fine: _Refined, valid: Valid | None, tally: Tally | None, tube_spacing_m: float
+    ) -> TracedEchoes:
+        """With those of an earlier frame that are ``valid``."""
+        budget = fine.budget
+        leaves = list(_portioned([_worth_it(part, budget) for part in fine.parts]))
+        contributions = [contributions_of(self.context, self.scatterers, part) for part in leaves]
+        error, by_range = budget.accepted, budget.by_range
+        if valid is not None:
+            contributions = [valid.contributions, *contributions]
+            error = np.hypot(error, valid.error)
+            by_range = by_range.and_of(valid.by_range)
+        footprints = fine.search.footprints
+        return TracedEchoes(
+            contributions=tuple(contributions),
+            sums=() if footprints is None else tuple(map(Sums.of, leaves)),
+            is_direct=tuple(part.triangles.waves is None for part in leaves),
+            error=error,
+            by_range=by_range,
+            level=budget.level,
+            footprints=tuple(footprints or ()),
+            spacing_m=(budget.spacing_m, tube_spacing_m),
+            n_reused=0 if valid is None else len(valid.contributions),
+            choice=_choice(tally, fine.search, budget, valid),
+        )
+
+
+def _refined(search: Search, begun: _Begun, budget: Budget, tally: Tally | None) -> _Refined:
+    """Of what is within the limits, and again of bodies whose level was overestimated."""
+    some = begun if tally is None else _Begun(*search.part_of(*begun))
+    parts = search.leaves(*some, budget, _DEEPEST)
     for _ in range(_MOST_PASSES):
         again = budget.overestimated()
         if tally and search.limits:
@@ -180,30 +275,9 @@ def scattered_by(
         budget = budget.again_of(again)
         kept = [part.take(np.flatnonzero(~again[part.body])) for part in parts]
         search = search.of(again)
-        parts = [*kept, *search.leaves(*search.part_of(*found), budget, _DEEPEST)]
+        parts = [*kept, *search.leaves(*search.part_of(*begun), budget, _DEEPEST)]
         parts = [part for part in parts if len(part.weight)]
-    leaves = list(_portioned([_worth_it(part, budget) for part in parts]))
-    error, by_range = budget.accepted, budget.by_range
-    if valid is not None:
-        if (fell := _fell(valid, budget.level, tolerance)).any():
-            return without(fell)
-        error = np.hypot(error, valid.error)
-        by_range = by_range.and_of(valid.by_range)
-    contributions = [contributions_of(context, scatterers, part) for part in leaves]
-    return TracedEchoes(
-        contributions=tuple(contributions)
-        if valid is None
-        else (valid.contributions, *contributions),
-        sums=tuple(map(Sums.of, leaves)) if with_footprints else (),
-        is_direct=tuple(part.triangles.waves is None for part in leaves),
-        error=error,
-        by_range=by_range,
-        level=budget.level,
-        footprints=tuple(search.footprints or ()),
-        spacing_m=(budget.spacing_m, spacing_m),
-        n_reused=0 if valid is None else len(valid.contributions),
-        choice=_choice(tally, search, budget, valid),
-    )
+    return _Refined(parts, search, budget)
 
 
 def _fell(valid: Valid, level: Array, tolerance: float) -> NDArray[np.bool_]:
