@@ -1,7 +1,7 @@
 """Demodulation of one burst: each pair of transmitter and receiver is one wideband channel."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +106,68 @@ def demodulate(
     Raises InputError for another waveform, for a reference delay that it cannot tell, for
     transmitters without a regular TDM schedule, or where nothing can be used.
     """
+    _check(record, waveform, reference_delay_s)
+    wave, leakage_s = record.waveform, record.front_end.leakage_delay_s
+    leaks = leakage and bool(np.isfinite(leakage_s))
+    part = usable_part(record, burst)
+    sender = record.transmitter[part.slots]
+    schedule = tdm_schedule(sender)
+    iq = record.iq[burst, part.steps, part.slots]
+    samples = without_faults([complex_samples(step, precision) for step in iq], wave)
+    steady = _steadied(samples, wave, leakage_s, schedule) if leaks else _Steadied(samples)
+    cube = [
+        _channels(step, schedule, wave, record.front_end.root_watt_per_count)
+        for step in steady.samples
+    ]
+    n_transmitters, n_rounds = schedule.shape
+    own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
+    if len(record.carriers_hz) == 1:
+        wide = _Wideband(cube[0], own, steady.relative_noise)
+    else:
+        wide = _of_steps(
+            cube,
+            own,
+            record.carriers_hz[part.steps],
+            1e-9 * record.device_time_ns[burst, part.steps, 0].astype(np.float64),
+            leakage_s if reference_delay_s is None else reference_delay_s,
+            range_rate_m_per_s=range_rate_m_per_s,
+            has_reference=steady.is_seen or reference_delay_s is not None,
+        )
+    channel = wide.channel
+    if leaks:
+        channel = without_leakage(channel, wide.waveform, leakage_s)
+    if wide.motion is not None:
+        channel = channel * wide.motion[:, None]
+    slots_s = wave.slot_times_s[schedule]
+    slots_used = slice(part.slots.start, part.slots.start + int(schedule.max()) + 1)
+    n_receivers = len(record.front_end.receivers_m)
+    transmitter_m = record.front_end.transmitters_m[sender[schedule[:, 0]]]
+    told = () if steady.is_seen else (_unseen_leakage(leakage_s, steady.snr, len(samples)),)
+    return DemodulatedBurst(
+        channel=channel,
+        waveform=wide.waveform,
+        tdm_offset_s=np.repeat(slots_s.mean(axis=1) - slots_s.mean(), n_receivers),
+        transmitter_m=np.repeat(transmitter_m, n_receivers, axis=0),
+        receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
+        whole=part.whole,
+        warnings=(*part.warnings, *(f"burst {burst}: {text}" for text in (*told, *wide.warnings))),
+        middle_ns=record.middle_ns(burst, part.steps, slots_used),
+        relative_noise=wide.relative_noise,
+        leakage=steady.leakage,
+        range_per_rate_s=wide.range_per_rate_s,
+        scatter_per_rate=wide.scatter_per_rate,
+        range_error_m=wide.range_error_m,
+        removed_variance=steady.removed_variance,
+        joined_by_s=wide.joined_by_s,
+    )
+
+
+def _check(
+    record: "RadarRecord", waveform: OfdmWaveform | None, reference_delay_s: float | None
+) -> None:
+    """Raises InputError for anything but a record of the waveform that is expected, if one is, and
+    for a reference delay that it cannot tell.
+    """
     from hardware.records.radar import RadarRecord
 
     check_kind("record", record, RadarRecord, "hardware.read_radar_record")
@@ -117,96 +179,97 @@ def demodulate(
             f"reference_delay_s: {reference_delay_s}, expected within the waveform's unambiguous "
             f"delay, +/- {longest_s:.3g} s"
         )
-    part = usable_part(record, burst)
-    sender = record.transmitter[part.slots]
-    schedule = tdm_schedule(sender)
-    wave = record.waveform
-    n_transmitters, n_rounds = schedule.shape
-    slots = wave.slot_times_s[schedule]
-    leakage_s = record.front_end.leakage_delay_s
-    own = replace(wave, n_slots=n_rounds, slot_period_s=wave.slot_period_s * n_transmitters)
-    iq = record.iq[burst, part.steps, part.slots]
-    samples = [complex_samples(step, precision) for step in iq]
-    samples = without_faults(samples, wave)
-    leakage_warnings: tuple[str, ...] = ()
-    seen = True
-    removed_variance = 0.0
-    motion = relative_noise = mode = None
-    if leakage and np.isfinite(leakage_s):
-        if leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
-            steadied = [with_steady_phase(step, wave, leakage_s, schedule) for step in samples]
-            samples = [step for step, _ in steadied]
-            # Steps have phases of their own, of which an echo has the mean.
-            removed_variance = float(np.mean([part for _, part in steadied])) / len(steadied)
-            if len(samples) == 1:  # echoes within a step's range cell share the leakage's otherwise
-                cleaned, relative_noise, mode = without_phase_noise(
-                    samples[0], wave, leakage_s, schedule
-                )
-                samples = [cleaned]
-        else:
-            means = [step.mean(axis=0, keepdims=True) for step in samples]
-            snr = leakage_snr(means, wave, leakage_s)
-            seen = snr > _SEEN
-            if not seen:
-                leakage_warnings = (_unseen_leakage(burst, leakage_s, snr, len(samples)),)
-    coupling_s = scatter = range_error_m = 0.0
-    joined_by_s = float("nan")
-    cube = [
-        _channels(step, schedule, wave, record.front_end.root_watt_per_count) for step in samples
-    ]
-    if len(record.carriers_hz) == 1:
-        wide_channel, wide = cube[0], own
-    else:
-        relative_noise = _noise_of_steps(cube)
-        carriers_hz = record.carriers_hz[part.steps]
-        times_s = 1e-9 * record.device_time_ns[burst, part.steps, 0].astype(np.float64)
-        coupling_s = range_per_rate_s(carriers_hz, times_s)
-        scatter = scatter_per_rate(carriers_hz, times_s, wave)
-        has_reference = seen or reference_delay_s is not None
-        joined_by_s = leakage_s if reference_delay_s is None else reference_delay_s
-        stitched = stitch(
-            np.stack(cube, axis=1).astype(np.complex128),
-            own,
-            carriers_hz,
-            joined_by_s,
-            step_times_s=times_s,
-            range_rate_m_per_s=range_rate_m_per_s,
-            reference_seen=has_reference,
-        )
-        wide_channel, wide, motion = stitched.channel, stitched.waveform, stitched.motion
-        if has_reference:
-            range_error_m = stitched.range_error_m
-            leakage_warnings += tuple(f"burst {burst}: {text}" for text in weak_reference(stitched))
-    if leakage and np.isfinite(leakage_s):
-        wide_channel = without_leakage(wide_channel, wide, leakage_s)
-    if motion is not None:
-        wide_channel = wide_channel * motion[:, None]
-    transmitters = sender[schedule[:, 0]]
-    slots_used = slice(part.slots.start, part.slots.start + int(schedule.max()) + 1)
-    n_receivers = len(record.front_end.receivers_m)
-    return DemodulatedBurst(
-        channel=wide_channel,
-        waveform=wide,
-        tdm_offset_s=np.repeat(slots.mean(axis=1) - slots.mean(), n_receivers),
-        transmitter_m=np.repeat(record.front_end.transmitters_m[transmitters], n_receivers, axis=0),
-        receiver_m=np.tile(record.front_end.receivers_m, (n_transmitters, 1)),
-        whole=part.whole,
-        warnings=(*part.warnings, *leakage_warnings),
-        middle_ns=record.middle_ns(burst, part.steps, slots_used),
-        relative_noise=relative_noise,
-        leakage=None if mode is None else mode.ravel(),
-        range_per_rate_s=coupling_s,
-        scatter_per_rate=scatter,
-        range_error_m=range_error_m,
-        removed_variance=removed_variance,
-        joined_by_s=joined_by_s,
+
+
+class _Steadied(NamedTuple):
+    """Samples of carrier steps without the leakage's phase noise, where that is seen, and what
+    `DemodulatedBurst` tells of it; ``snr``: of the leakage in the mean of all slots, where it is
+    not.
+    """
+
+    samples: list[Complex]
+    relative_noise: Array | None = None
+    leakage: Complex | None = None
+    removed_variance: float = 0.0
+    snr: float = np.inf
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the leakage is above the noise."""
+        return self.snr > _SEEN
+
+
+def _steadied(
+    samples: list[Complex], wave: OfdmWaveform, leakage_s: float, schedule: NDArray[np.intp]
+) -> _Steadied:
+    """Steps with phases that the leakage steadies, where it is seen in a slot."""
+    if not leakage_snr(samples, wave, leakage_s) > _SEEN_IN_A_SLOT:
+        means = [step.mean(axis=0, keepdims=True) for step in samples]
+        return _Steadied(samples, snr=leakage_snr(means, wave, leakage_s))
+    steps, variances = zip(
+        *(with_steady_phase(step, wave, leakage_s, schedule) for step in samples), strict=True
+    )
+    # Steps have phases of their own, of which an echo has the mean.
+    variance = float(np.mean(variances)) / len(steps)
+    if len(steps) > 1:  # echoes within a step's range cell share the leakage's noise otherwise
+        return _Steadied(list(steps), removed_variance=variance)
+    cleaned, relative_noise, mode = without_phase_noise(steps[0], wave, leakage_s, schedule)
+    return _Steadied([cleaned], relative_noise, mode.ravel(), variance)
+
+
+class _Wideband(NamedTuple):
+    """The channel of all carrier steps together, and what `DemodulatedBurst` tells of these;
+    ``motion`` as of `StitchedChannel`, of one carrier None.
+    """
+
+    channel: Complex
+    waveform: OfdmWaveform
+    relative_noise: Array | None
+    motion: Complex | None = None
+    range_per_rate_s: float = 0.0
+    scatter_per_rate: float = 0.0
+    range_error_m: float = 0.0
+    joined_by_s: float = float("nan")
+    warnings: tuple[str, ...] = ()
+
+
+def _of_steps(
+    cube: list[Complex],
+    own: OfdmWaveform,
+    carriers_hz: Array,
+    times_s: Array,
+    joined_by_s: float,
+    *,
+    range_rate_m_per_s: float,
+    has_reference: bool,
+) -> _Wideband:
+    """Carrier steps of one transmitter's waveform, ``own``, joined by the delay of a reference."""
+    stitched = stitch(
+        np.stack(cube, axis=1).astype(np.complex128),
+        own,
+        carriers_hz,
+        joined_by_s,
+        step_times_s=times_s,
+        range_rate_m_per_s=range_rate_m_per_s,
+        reference_seen=has_reference,
+    )
+    return _Wideband(
+        stitched.channel,
+        stitched.waveform,
+        _noise_of_steps(cube),
+        stitched.motion,
+        range_per_rate_s(carriers_hz, times_s),
+        scatter_per_rate(carriers_hz, times_s, own),
+        stitched.range_error_m if has_reference else 0.0,
+        joined_by_s,
+        tuple(weak_reference(stitched)) if has_reference else (),
     )
 
 
-def _unseen_leakage(burst: int, delay_s: float, snr: float, n_steps: int) -> str:
+def _unseen_leakage(delay_s: float, snr: float, n_steps: int) -> str:
     """Warning of leakage that is not above the noise."""
     text = (
-        f"burst {burst}: no leakage is seen at its delay of {delay_s:.3g} s ({max(snr, 0):.2g} "
+        f"no leakage is seen at its delay of {delay_s:.3g} s ({max(snr, 0):.2g} "
         f"times the noise, expected {_SEEN:g} or more): "
     )
     if n_steps == 1:

@@ -208,62 +208,7 @@ def _detections(
     """Detections by CFAR and refinement, and warnings."""
     if how.per_cell > 1:
         check_per_cell(how.per_cell, interval)
-    cfar = with_fitted_shape(even, how.cfar, image.n_channels)
-    if how.cfar.shape == "fitted" and how.window != "boxcar":
-        plain = clutter_between_echoes(channel, interval.waveform, image, how.window)
-        if not plain.is_noise:
-            cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
-    # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
-    echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
-    n_peaks = len(echoes)
-    echoes, variance = beyond_phases(
-        echoes, interval, how.cfar.false_alarm, beside_static=how.moving_only
-    )
-    scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
-    noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
-    if how.moving_only:  # the mean over slots took as much of the noise as one of them
-        noise_w *= channel.shape[-1] / (channel.shape[-1] - 1)
-    fastest = 2 / C_M_PER_S * how.fastest_m_per_s
-    echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
-    warnings = [
-        *too_many(burst, len(echoes), how),
-        *of_the_map(burst, image, how, clutter),
-        *scattered,
-    ]
-    if echoes:
-        warnings += [
-            *untested_rates(interval.waveform, how),
-            *targets_of_two_slots(interval.waveform, how),
-            *coupled_ranges(interval, how),
-        ]
-    echoes = echoes[: how.at_most]
-    if how.moving_only:
-        echoes, n_lost = moving_echoes(
-            echoes,
-            channel,
-            interval.waveform,
-            noise_w,
-            how.cfar.false_alarm,
-            fastest=fastest,
-        )
-        warnings += lost_at_rest(n_lost)
-    if how.resolve:
-        spread = partial(
-            most_of_spread, echoes, interval, variance, how.cfar.false_alarm, how.moving_only
-        )
-        echoes = split_targets(
-            echoes,
-            channel,
-            interval.waveform,
-            noise_w,
-            how.cfar.false_alarm,
-            fastest=fastest,
-            beside_static=how.moving_only,
-            least_at=spread if variance else None,
-        )
-    if how.moving_only:
-        echoes = without_static_echoes(echoes, interval.waveform)
-    echoes = with_spread_of_others(echoes, interval, variance, beside_static=how.moving_only)
+    echoes, variance, warnings = _echoes(channel, interval, image, even, clutter, how, burst)
     plane = ArrayPlane.of(interval)
     cells = [_points(echo, interval, plane, how.per_cell, variance) for echo in echoes]
     points = [point for cell, _ in cells for point in cell]
@@ -279,6 +224,89 @@ def _detections(
         *moving_side_lobes(points, interval, how),
     ]
     return points, [*warnings, *ambiguous(points)]
+
+
+def _echoes(
+    channel: Complex,
+    interval: DemodulatedBurst,
+    image: RangeDopplerMap,
+    even: NDArray[np.floating],
+    clutter: ClutterFit,
+    how: Processing,
+    burst: int,
+) -> tuple[list[EchoMeasurement], float, list[str]]:
+    """Echoes with their ranges and rates, the variance of the phases of slots, and warnings."""
+    cfar = with_fitted_shape(even, how.cfar, image.n_channels)
+    if how.cfar.shape == "fitted" and how.window != "boxcar":
+        plain = clutter_between_echoes(channel, interval.waveform, image, how.window)
+        if not plain.is_noise:
+            cfar = replace(cfar, shape=min(cfar.shape, plain.shape))
+    # Twice as many, since duplicates are removed afterwards and the limit must still be noticed.
+    echoes = detect_echoes(channel, interval.waveform, image, cfar, how.window, 2 * how.at_most)
+    n_peaks = len(echoes)
+    echoes, variance = beyond_phases(
+        echoes, interval, how.cfar.false_alarm, beside_static=how.moving_only
+    )
+    scattered = scattered_phases(burst, variance, n_peaks - len(echoes))
+    noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
+    if how.moving_only:  # the mean over slots took as much of the noise as one of them
+        noise_w *= channel.shape[-1] / (channel.shape[-1] - 1)
+    echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, _fastest(how))
+    warnings = [
+        *too_many(burst, len(echoes), how),
+        *of_the_map(burst, image, how, clutter),
+        *scattered,
+    ]
+    if echoes:
+        warnings += [
+            *untested_rates(interval.waveform, how),
+            *targets_of_two_slots(interval.waveform, how),
+            *coupled_ranges(interval, how),
+        ]
+    echoes = echoes[: how.at_most]
+    echoes, lost = _told_apart(echoes, channel, interval, variance, noise_w, how)
+    echoes = with_spread_of_others(echoes, interval, variance, beside_static=how.moving_only)
+    return echoes, variance, [*warnings, *lost]
+
+
+def _told_apart(
+    echoes: list[EchoMeasurement],
+    channel: Complex,
+    interval: DemodulatedBurst,
+    variance: float,
+    noise_w: float,
+    how: Processing,
+) -> tuple[list[EchoMeasurement], list[str]]:
+    """What moves apart from what rests, and targets of one range cell apart, as far as is asked
+    for; and warnings of what is lost.
+    """
+    false_alarm, fastest = how.cfar.false_alarm, _fastest(how)
+    warnings: list[str] = []
+    if how.moving_only:
+        echoes, n_lost = moving_echoes(
+            echoes, channel, interval.waveform, noise_w, false_alarm, fastest=fastest
+        )
+        warnings = lost_at_rest(n_lost)
+    if how.resolve:
+        spread = partial(most_of_spread, echoes, interval, variance, false_alarm, how.moving_only)
+        echoes = split_targets(
+            echoes,
+            channel,
+            interval.waveform,
+            noise_w,
+            false_alarm,
+            fastest=fastest,
+            beside_static=how.moving_only,
+            least_at=spread if variance else None,
+        )
+    if how.moving_only:
+        echoes = without_static_echoes(echoes, interval.waveform)
+    return echoes, warnings
+
+
+def _fastest(how: Processing) -> float:
+    """Delay rate of the fastest target."""
+    return 2 / C_M_PER_S * how.fastest_m_per_s
 
 
 def frames(
