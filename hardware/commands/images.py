@@ -1,5 +1,6 @@
 """The commands ``ugv reconstruct`` and ``ugv methods``: images from a camera's record."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -95,44 +96,76 @@ def reconstruct(
     )
     say.verdict(f"{solve.name}: {si(elapsed, 's')}; cells {number(low)} to {number(high)} e-")
     say.line(f"noise of one measurement: {_noise(reconstruction)}")
-    figures = [("least cell", "e-", low), ("greatest cell", "e-", high)]
-    figures.append(
-        ("noise of one measurement, median", "e-", _median(reconstruction.noise_electrons))
-    )
     if motion:
         say.line(f"motion within the frame: {motion_in_words(reconstruction.motion)}")
-    arrays = {"image": reconstruction.image, "noise_electrons": reconstruction.noise_electrons}
     if reconstruction.standard_error is not None:
-        typical = _median(reconstruction.standard_error)
-        within = f"about 95 % lie within {number(reconstruction.errors_in_95)} of them"
-        known = f"{number(typical)} e- (median); {within}"
-        say.line(f"standard error of a cell: {known if np.isfinite(typical) else 'unknown'}")
-        figures.append(("standard error of a cell, median", "e-", typical))
-        arrays["standard_error"] = reconstruction.standard_error
-        arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)
+        errors = reconstruction.standard_error, reconstruction.errors_in_95
+        say.line(f"standard error of a cell: {_standard_error(*errors)}")
     if ranges:
         say.line(_distances(loaded, ranges))
-        figures += _distance_figures(ranges)
-        arrays |= {
-            "amplitude": ranges.amplitude,
-            "distance_m": ranges.distance_m,
-            "distance_standard_error_m": ranges.standard_error_m,
-            "distance_confidence": ranges.confidence,
-        }
     say.add(
         record=record,
         method=solve.name,
         seconds=elapsed,
         shape=reconstruction.image.shape,
         patterns=n_received,
-        figures=[dict(zip(("name", "unit", "value"), each, strict=True)) for each in figures],
+        figures=[
+            dict(zip(("name", "unit", "value"), each, strict=True))
+            for each in _figures(reconstruction, ranges)
+        ],
     )
     with whole_file(target) as partial, partial.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        np.savez(file, **_arrays(reconstruction, ranges))  # type: ignore[arg-type]
     say.written(target)
     if png:
         write_picture(png, reconstruction.picture)
         say.written(png)
+
+
+def _figures(
+    reconstruction: "Reconstruction", ranges: "RangeImage | None"
+) -> list[tuple[str, str, float]]:
+    """Names, units and values."""
+    low, high = _extremes(reconstruction.image)
+    figures = [
+        ("least cell", "e-", low),
+        ("greatest cell", "e-", high),
+        ("noise of one measurement, median", "e-", _median(reconstruction.noise_electrons)),
+    ]
+    if reconstruction.standard_error is not None:
+        typical = _median(reconstruction.standard_error)
+        figures.append(("standard error of a cell, median", "e-", typical))
+    return figures + (_distance_figures(ranges) if ranges else [])
+
+
+def _arrays(reconstruction: "Reconstruction", ranges: "RangeImage | None") -> "dict[str, Array]":
+    """As the archive names them."""
+    import numpy as np
+
+    arrays: dict[str, Array] = {
+        "image": reconstruction.image,
+        "noise_electrons": reconstruction.noise_electrons,
+    }
+    if reconstruction.standard_error is not None:
+        arrays["standard_error"] = reconstruction.standard_error
+        arrays["errors_in_95"] = np.array(reconstruction.errors_in_95)
+    if ranges:
+        arrays |= {
+            "amplitude": ranges.amplitude,
+            "distance_m": ranges.distance_m,
+            "distance_standard_error_m": ranges.standard_error_m,
+            "distance_confidence": ranges.confidence,
+        }
+    return arrays
+
+
+def _standard_error(errors: "Array", errors_in_95: float) -> str:
+    """Of a cell, in words."""
+    typical = _median(errors)
+    if not math.isfinite(typical):
+        return "unknown"
+    within = f"about 95 % lie within {number(errors_in_95)} of them"
+    return f"{number(typical)} e- (median); {within}"
 
 
 def _extremes(image: "Array") -> tuple[float, float]:

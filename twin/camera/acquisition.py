@@ -15,7 +15,7 @@ from twin.camera.backscatter_ranging import BackscatterRangeError, backscatter_r
 from twin.camera.cell_noise import cells_noise_e as noise_of_cells
 from twin.camera.chain import Chain, Powers
 from twin.camera.design_warnings import design_warnings, lag_shares
-from twin.camera.distortion import distortions
+from twin.camera.distortion import Distortions, distortions
 from twin.camera.frozen import frozen_error
 from twin.camera.illumination import dark_share
 from twin.camera.lit_frame import LitFrame, lit_frame
@@ -229,36 +229,29 @@ def measure(
         power, rng=rng, noise=noise, mean_w=mean_w, sun_w=open_w
     )
     sun_w = float(chain.open_share.mean()) * power.sun_w
-    cells_noise_e = noise_of_cells(chain, power, signal_w)
-    noise_e = cells_noise_e / np.sqrt(len(chain.shutters))
     # An image is the sum over all shutters; the light of dark cells is the same in every exposure.
     to_e = (1 - dark_share(system)) * chain.front_end.electrons_per_watt
-    cells_e = to_e * power.cells_w.sum(axis=0)
-    image_noise_e = np.median(cells_noise_e, axis=1)
-    sky, depth_m = chain.sky, rendered.truth.depth_m
     record = chain.record(frame.pose if frame else scene.rig.pose, counts, flags)
     own = "" if type(chain.front_end) is FrontEnd else type(chain.front_end).__name__
-    # At a rail the slope of the response is zero, and so is the SNR; as it is in cells that the
-    # patterns do not measure.
-    distortion = distortions(chain, power)
-    hidden = saturated_detectors(record, own) | distortion.total.hides(image_noise_e)
-    signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
-    error_e = np.hypot(cells_noise_e, distortion.total.cells_error_e)
+    cells_e = to_e * power.cells_w.sum(axis=0)
     backscatter_e = to_e * power.backscatter_w.sum(axis=0)
     scene_e = _without(cells_e, backscatter_e)
-    unknown = hidden[:, None] | record.patterns.unmeasured_cells
-    # What rails take of all cells alike depends on the light: unlike lag's, no calibration gives it
-    # back, and it is an error of each cell.
-    cut_e = np.abs(distortion.clipping.signal_factor - 1)[:, None] * scene_e
-    snr = np.where(unknown, 0.0, signal_factor * scene_e / np.hypot(error_e, cut_e))
+    cells_noise_e = noise_of_cells(chain, power, signal_w)
+    image_noise_e = np.median(cells_noise_e, axis=1)
+    distortion = distortions(chain, power)
+    hidden = saturated_detectors(record, own) | distortion.total.hides(image_noise_e)
     range_error = backscatter_range_error(
-        record, to_e * power.cells_w, to_e * power.backscatter_w, noise_e
+        record,
+        to_e * power.cells_w,
+        to_e * power.backscatter_w,
+        cells_noise_e / np.sqrt(len(chain.shutters)),
     )
     budget = chain.noise(signal_w, sun_w)
     record_warnings = (
         *warnings_of_record(record, distortion.clipping, image_noise_e, own),
         *lag_warnings(distortion.lag, image_noise_e, lag_shares(system)),
     )
+    sky, depth_m = chain.sky, rendered.truth.depth_m
     decisions = (*rendered.decisions, *((frame.decision,) if frame else ()))
     if frame:
         scatter, of_motion = frame.sun_scatter, frame.warnings
@@ -274,13 +267,18 @@ def measure(
         *of_motion,
         *sun_warnings(scene, system),
     )
+    snr = np.zeros_like(scene_e)
+    if not is_void(warnings):
+        snr = _snr(scene_e, cells_noise_e, distortion)
+        # As at a rail, where the slope of the response is zero.
+        snr[hidden[:, None] | record.patterns.unmeasured_cells] = 0.0
     return Capture(
         record=record,
         truth=rendered.truth,
         cells_e=side_by_side(cells_e, system),
         cells_error_e=side_by_side(to_e * power.error_w, system),
         backscatter_e=side_by_side(backscatter_e, system),
-        snr=side_by_side(np.zeros_like(snr) if is_void(warnings) else snr, system),
+        snr=side_by_side(snr, system),
         noise=budget,
         lens=chain.lens,
         signal_w=signal_w.reshape(-1, signal_w.shape[-1]),
@@ -309,6 +307,17 @@ def measure(
         ),
         distance_m=rendered.half_paths_m(),
     )
+
+
+def _snr(scene_e: Array, cells_noise_e: Array, distortion: Distortions) -> Array:
+    """Of cells, (n_detectors, n_cells)."""
+    signal_factor = np.maximum(distortion.total.signal_factor, 0)[:, None]
+    # What rails take of all cells alike depends on the light: unlike lag's, no calibration gives it
+    # back, and it is an error of each cell.
+    cut_e = np.abs(distortion.clipping.signal_factor - 1)[:, None] * scene_e
+    error_e = np.hypot(cells_noise_e, distortion.total.cells_error_e)
+    snr: Array = signal_factor * scene_e / np.hypot(error_e, cut_e)
+    return snr
 
 
 def _error_of_exposures(

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,6 +17,9 @@ from twin.commands.arguments import (
     knobs_asked,
     scores_asked,
 )
+
+if TYPE_CHECKING:
+    from twin.serve.serving import Address
 
 
 def serve(
@@ -72,7 +75,7 @@ def serve(
     from twin.radar import load_radar
     from twin.scene import load_scene, parse_pose
     from twin.serve.clock import Pace
-    from twin.serve.serving import check_ports, parse_address, run, serve_camera, serve_radar
+    from twin.serve.serving import run, serve_camera, serve_radar
     from twin.serve.world import SharedWorld
 
     if pace not in get_args(Pace):
@@ -83,22 +86,10 @@ def serve(
         )
     if spi_at is None and radar_at is None:
         raise InputError("serve: nothing to serve, expected --spi-at or --radar-at or both")
-    for option, file, where, place in (
-        ("--spi-settings", spi_settings, "--spi-at", spi_at),
-        ("--radar-setup", radar_setup, "--radar-at", radar_at),
-    ):
-        if file is not None and place is None:
-            raise InputError(f"{option}: expected {where} too, that device is not served")
-        if file is not None and not file.absolute().parent.is_dir():
-            raise InputError(f"{option}: {file.parent} is no folder")
+    _check_written("--spi-settings", spi_settings, "--spi-at", spi_at)
+    _check_written("--radar-setup", radar_setup, "--radar-at", radar_at)
     how: Pace = "real" if pace == "real" else "fast"
-    camera_address = radio_address = None
-    if spi_at is not None and spi_at != "pty":
-        camera_address = parse_address(spi_at, "--spi-at", "pty")
-    if radar_at is not None:
-        radio_address = parse_address(radar_at, "--radar-at")
-    if camera_address is not None and radio_address is not None:
-        check_ports(camera_address, radio_address)
+    camera_address, radio_address = _addresses(spi_at, radar_at)
     for address in (camera_address, radio_address):
         if address is not None and not address.loopback:
             say.warn(f"{address.host}: whoever reaches it can use it")
@@ -161,3 +152,27 @@ def serve(
     for device in devices:
         say.verdict(f"{device.name}: {device.url}")
     run(devices)
+
+
+def _check_written(option: str, file: Path | None, where: str, place: str | None) -> None:
+    """Raises InputError for a file of a device that is not served, or that cannot be written."""
+    from twin.files import InputError
+
+    if file is not None and place is None:
+        raise InputError(f"{option}: expected {where} too, that device is not served")
+    if file is not None and not file.absolute().parent.is_dir():
+        raise InputError(f"{option}: {file.parent} is no folder")
+
+
+def _addresses(spi_at: str | None, radar_at: str | None) -> "tuple[Address | None, Address | None]":
+    """Of camera and radio, where they are served over TCP; their ports are checked."""
+    from twin.serve.serving import check_ports, parse_address
+
+    camera = radio = None
+    if spi_at is not None and spi_at != "pty":
+        camera = parse_address(spi_at, "--spi-at", "pty")
+    if radar_at is not None:
+        radio = parse_address(radar_at, "--radar-at")
+    if camera is not None and radio is not None:
+        check_ports(camera, radio)
+    return camera, radio

@@ -12,7 +12,7 @@ one, without what paths err by.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,74 +116,124 @@ def _at(part: LightOverTime, times: Array) -> Array:
 
 
 def _over_time(drawing: Drawing, times: Array, changes: Flags, effort: Effort) -> LightOverTime:
-    n_cells = drawing.grid.size
-    weight = 1 / np.maximum(effort.motion_limit, 1e-150) ** 2 / n_cells
-    wanted = np.zeros((len(times), n_cells), dtype=bool)
-    wanted[:-1] |= changes
-    wanted[1:] |= changes
-    wanted[0] |= ~wanted.any(axis=0)
-    nothing = np.zeros((SETS, *wanted.shape))
-    sets, variance, samples = drawing.render(times, wanted, nothing, effort)
-    first = np.array([_spread(x, wanted) for x in (*sets, variance)])
-    samples, at = _spread(samples, wanted), [float(t) for t in times]
-    rows = [(first[:-1, i], first[-1, i], samples[i]) for i in range(len(times))]
+    """Of one part of the light."""
+    known = _Instants.at(drawing, times, changes, effort)
     opened = [_Interval(i, i + 1, cells, 1.0) for i, cells in enumerate(changes) if cells.any()]
     worst = 0.0
     while opened:
-        fine = [x for x in opened if (at[x.last] - at[x.first]) / 2 >= effort.finest_s]
-        if not fine or len(at) + len(fine) > _MOST_INSTANTS or drawing.is_spent:
+        fine = [x for x in opened if known.length_s(x) / 2 >= effort.finest_s]
+        if not fine or len(known.at_s) + len(fine) > _MOST_INSTANTS or drawing.is_spent:
             worst = max(worst, *(1 - x.budget + x.left for x in opened))
             break
         worst = max([worst, *(1 - x.budget + x.left for x in opened if x not in fine)])
-        ends = [(rows[x.first], rows[x.last]) for x in fine]
-        middles = np.array([(at[x.first] + at[x.last]) / 2 for x in fine])
-        cells = np.array([x.cells for x in fine])
-        said = np.stack([(a[0] + b[0]) / 2 for a, b in ends], axis=1)
-        around = np.array([(a[1] + b[1]) / 2 for a, b in ends])
-        at_ends = np.array([np.maximum(a[2], b[2]) for a, b in ends])
-        sets, variance, samples = drawing.render(middles, cells, said, effort, around, at_ends)
-        grown, further = effort.grown(sets.mean(axis=0)), sets - said
-        halves: list[_Interval] = []
-        for i, interval in enumerate(fine):
-            # Errors of several times within an exposure are averaged.
-            length = at[interval.last] - at[interval.first]
-            scale = min(length / effort.exposure_s, 1.0) / 4 / grown[i]
-            rows.append((sets[:, i], variance[i], samples[i]))
-            at.append(float(middles[i]))
-            one, other = further[:, i] @ np.sqrt(weight)
-            # Of light that errs by chance the product scatters by as much as is subtracted.
-            alike = scale * float(one * other - _OF_MIDDLES * (weight @ variance[i]))
-            if effort.together:
-                halves += interval.whole(max(alike, 0.0), len(at) - 1)
-                continue
-            alike = effort.lit_share * max(alike, 0.0)
-            off = (1 - effort.lit_share) * scale * weight * further[0, i] * further[1, i]
-            if (
-                alike + float(off.sum()) > interval.budget
-                and alike > _LEFT_BEHIND * interval.budget
-            ):
-                halves += interval.whole(alike + max(float(off.sum()), 0.0), len(at) - 1)
-            else:
-                likely = drawing.sorted_out(off)
-                halves += interval.after(likely, off, alike, len(at) - 1)
+        halves = known.with_middles(fine)
         worst = max([worst, *(1 - x.budget for x in halves)])
         if effort.many_edges and not drawing.is_smooth:
             # Both halves of each, in turn.
             halves = [x.looked_at_again(fine[i // 2]) for i, x in enumerate(halves)]
-        opened = [x for x in _with_overlooked(halves, at, effort) if x.cells.any()]
-    order = np.argsort(at)
-    limit = effort.motion_limit if isinstance(effort.limit, int) else effort.limit
-    share = 1 / np.maximum(limit, 1e-150) ** 2 / n_cells
-    sets, variance, _ = (np.array(x) for x in zip(*rows, strict=True))
-    path_error = float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
+        opened = [x for x in _with_overlooked(halves, known.at_s, effort) if x.cells.any()]
+    order = np.argsort(known.at_s)
     return LightOverTime(
-        np.array(at)[order],
-        np.array([rows[i][0].mean(axis=0) for i in order]),
-        path_error,
+        np.array(known.at_s)[order],
+        np.array([known.rows[i].sets.mean(axis=0) for i in order]),
+        known.path_error(),
         worst**0.5,
         drawing.looks,
         drawing.paths,
     )
+
+
+class _Instant(NamedTuple):
+    """Light of all cells by each set of paths, (n_sets, n_cells), its variance, and how many paths
+    it is of, (n_cells,).
+    """
+
+    sets: Array
+    variance: Array
+    samples: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class _Instants:
+    """Times of instants as they were rendered, one after the other, and the light at each."""
+
+    drawing: Drawing
+    effort: Effort
+    at_s: list[float]
+    rows: list[_Instant]
+
+    @staticmethod
+    def at(drawing: Drawing, times: Array, changes: Flags, effort: Effort) -> "_Instants":
+        """The first ones, at each of which those cells are rendered that change beside it."""
+        wanted = np.zeros((len(times), drawing.grid.size), dtype=bool)
+        wanted[:-1] |= changes
+        wanted[1:] |= changes
+        wanted[0] |= ~wanted.any(axis=0)
+        nothing = np.zeros((SETS, *wanted.shape))
+        sets, variance, samples = drawing.render(times, wanted, nothing, effort)
+        first = np.array([_spread(x, wanted) for x in (*sets, variance)])
+        samples = _spread(samples, wanted)
+        rows = [_Instant(first[:-1, i], first[-1, i], samples[i]) for i in range(len(times))]
+        return _Instants(drawing, effort, [float(t) for t in times], rows)
+
+    def length_s(self, interval: "_Interval") -> float:
+        """Of an interval."""
+        return self.at_s[interval.last] - self.at_s[interval.first]
+
+    def with_middles(self, intervals: Sequence["_Interval"]) -> list["_Interval"]:
+        """Both halves of each, with the cells that are to be followed into them."""
+        ends = [(self.rows[x.first], self.rows[x.last]) for x in intervals]
+        middles = [(self.at_s[x.first] + self.at_s[x.last]) / 2 for x in intervals]
+        said = np.stack([(a.sets + b.sets) / 2 for a, b in ends], axis=1)
+        sets, variance, samples = self.drawing.render(
+            np.array(middles),
+            np.array([x.cells for x in intervals]),
+            said,
+            self.effort,
+            np.array([(a.variance + b.variance) / 2 for a, b in ends]),
+            np.array([np.maximum(a.samples, b.samples) for a, b in ends]),
+        )
+        grown, further = self.effort.grown(sets.mean(axis=0)), sets - said
+        halves: list[_Interval] = []
+        for i, interval in enumerate(intervals):
+            # Errors of several times within an exposure are averaged.
+            scale = min(self.length_s(interval) / self.effort.exposure_s, 1.0) / 4 / grown[i]
+            self.rows.append(_Instant(sets[:, i], variance[i], samples[i]))
+            self.at_s.append(float(middles[i]))
+            halves += self._halves(interval, further[:, i], variance[i], scale)
+        return halves
+
+    def _halves(
+        self, interval: "_Interval", further: Array, variance: Array, scale: float
+    ) -> list["_Interval"]:
+        """Of an interval whose middle was rendered last: by each set of paths ``further`` (n_sets,
+        n_cells) than interpolation says, of which ``scale`` is the share of the squared error.
+        """
+        weight, effort, middle = self._weight, self.effort, len(self.at_s) - 1
+        one, other = further @ np.sqrt(weight)
+        # Of light that errs by chance the product scatters by as much as is subtracted.
+        alike = scale * float(one * other - _OF_MIDDLES * (weight @ variance))
+        if effort.together:
+            return interval.whole(max(alike, 0.0), middle)
+        alike = effort.lit_share * max(alike, 0.0)
+        off = (1 - effort.lit_share) * scale * weight * further[0] * further[1]
+        whole = float(off.sum())
+        if alike + whole > interval.budget and alike > _LEFT_BEHIND * interval.budget:
+            return interval.whole(alike + max(whole, 0.0), middle)
+        return interval.after(self.drawing.sorted_out(off), off, alike, middle)
+
+    @property
+    def _weight(self) -> Array:
+        """Of a cell's squared error, as a share of what is permitted of all."""
+        return 1 / np.maximum(self.effort.motion_limit, 1e-150) ** 2 / self.drawing.grid.size
+
+    def path_error(self) -> float:
+        """As of `LightOverTime`."""
+        effort = self.effort
+        limit = effort.motion_limit if isinstance(effort.limit, int) else effort.limit
+        share = 1 / np.maximum(limit, 1e-150) ** 2 / self.drawing.grid.size
+        sets, variance, _ = (np.array(x) for x in zip(*self.rows, strict=True))
+        return float(np.max(variance @ share / effort.grown(sets.mean(axis=1)))) ** 0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from twin.scene.motion_tree import MotionTree
 from twin.scene.objects import IN_PLACE, Array, SceneObject
 from twin.scene.rig import Pose, Rig
 from twin.scene.settings import SceneSettings, load_settings
+from twin.scene.sun import Sun
 from twin.scene.texture import Reflectance, Texture
 
 _MESH_PLUGINS = ("ply", "obj", "stl")
@@ -83,17 +84,42 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
             f"{toml if settings and not pose else path}: rig: position_m = "
             f"{rig.position_m.tolist()}, expected at most {FARTHEST_ORIGIN_M:g} m from the origin"
         )
-    placed = list(zip(document.shapes, objects, strict=True))
-    warnings += [told for shape, item in placed if (told := _coarse(shape, item, rig))]
+    for shape, item in zip(document.shapes, objects, strict=True):
+        _check_extent(path, shape, item, rig)
+    sun, on_sun = _sun(settings, document, rig)
+    warnings += [*_on_objects(document, objects, rig), *on_sun]
+    return Scene(
+        name=path.parent.resolve().name if path.name == "scene.xml" else path.stem,
+        path=path,
+        description=settings.description if settings else "",
+        objects=objects,
+        rig=rig,
+        sun=sun,
+        targets=tree.targets(tree.settings.make_targets()) if tree else (),
+        track=settings.make_track() if settings else None,
+        materials={o.material: materials.table[o.material] for o in objects},
+        unknown_materials=materials.unknown,
+        assumptions=tuple(materials.assumptions()),
+        notes=notes,
+        warnings=(*warnings, *materials.warnings()),
+    )
+
+
+def _on_objects(document: xml.Document, objects: tuple[SceneObject, ...], rig: Rig) -> list[str]:
+    """Warnings of what the rig sees of them, or where it stands."""
+    placed = zip(document.shapes, objects, strict=True)
+    warnings = [told for shape, item in placed if (told := _coarse(shape, item, rig))]
     if not document.shapes:
         warnings.append("the scene has no shapes")
-    for shape, item in placed:
-        _check_extent(path, shape, item, rig)
     inside = tuple(item.name for item in objects if encloses(item, rig.position_m))
     if inside:
         warnings.append(f"the rig stands inside {_list(inside)}")
-    warnings += coplanar(objects, rig.position_m)
-    sun = settings.make_sun() if settings else None
+    return [*warnings, *coplanar(objects, rig.position_m)]
+
+
+def _sun(settings: SceneSettings | None, document: xml.Document, rig: Rig) -> tuple[Sun, list[str]]:
+    """Of the settings, else a default; and warnings of it, and of other light sources."""
+    sun, warnings = settings.make_sun() if settings else None, []
     standing_for_sun = () if sun is None else ("directional",)  # in stock Mitsuba
     if sun is None:
         sun = default_sun(rig.pose)
@@ -114,21 +140,7 @@ def load_scene(scene: str | Path | Scene, pose: Pose | None = None) -> Scene:
             f"{sun.north_azimuth_deg:g} deg: its declination would be {sun.declination_deg:.1f} "
             "deg, and is between -23.4 and 23.4"
         )
-    return Scene(
-        name=path.parent.resolve().name if path.name == "scene.xml" else path.stem,
-        path=path,
-        description=settings.description if settings else "",
-        objects=objects,
-        rig=rig,
-        sun=sun,
-        targets=tree.targets(tree.settings.make_targets()) if tree else (),
-        track=settings.make_track() if settings else None,
-        materials={o.material: materials.table[o.material] for o in objects},
-        unknown_materials=materials.unknown,
-        assumptions=tuple(materials.assumptions()),
-        notes=notes,
-        warnings=(*warnings, *materials.warnings()),
-    )
+    return sun, warnings
 
 
 def scene_file(scene: str | Path) -> Path:
