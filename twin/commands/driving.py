@@ -1,7 +1,7 @@
 """`twin drive`: both sensors along the trajectories of a scene, into one log."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,10 @@ from twin.commands.arguments import (
     named_knobs,
     only_one,
 )
+
+if TYPE_CHECKING:
+    from twin.drive import DeviceClock
+    from twin.drive.run import Driven
 
 
 def drive(
@@ -75,9 +79,8 @@ def drive(
     """
     import math
 
-    from hardware.formatting import counted, number, quantity_text
     from hardware.interruption import asked_to_end
-    from twin.drive import DeviceClock, Drive
+    from twin.drive import Drive
     from twin.drive import drive as record
     from twin.drive.log import stored_fidelity
     from twin.drive.run import progress_of
@@ -98,15 +101,8 @@ def drive(
     last_s = world.span_s[1]
     if duration is None and not math.isfinite(last_s):
         raise InputError(f"--duration: nothing ends the motion of {world.name}, expected a time")
-    clocks = []
-    for device, offset, drift in (
-        ("camera", camera_offset, camera_drift_ppm),
-        ("radar", radar_offset, radar_drift_ppm),
-    ):
-        try:
-            clocks.append(DeviceClock(offset, drift))
-        except InputError as error:
-            raise InputError(f"clock of the {device}: {error}") from None
+    camera_clock = _clock("camera", camera_offset, camera_drift_ppm)
+    radar_clock = _clock("radar", radar_offset, radar_drift_ppm)
     only_one(fidelity, tolerance, within)
     # What a time allows is measured, never twice the same: a log goes on with what was chosen.
     stored = None if within is None else stored_fidelity(out)
@@ -135,15 +131,33 @@ def drive(
         seed=seed,
         radar_period_s=radar_period,
         truth_period_s=truth_period,
-        camera_clock=clocks[0],
-        radar_clock=clocks[1],
+        camera_clock=camera_clock,
+        radar_clock=radar_clock,
     )
     with asked_to_end() as over, progress_of(plan) as tell:
         done = record(plan, out, workers=workers, scheduler=scheduler, over=over, tell=tell)
+    _tell(say, done, plan.duration_s, out)
+
+
+def _clock(device: str, offset_s: float, drift_ppm: float) -> "DeviceClock":
+    """Raises InputError with the device's name for numbers that are no clock's."""
+    from twin.drive import DeviceClock
+    from twin.errors import InputError
+
+    try:
+        return DeviceClock(offset_s, drift_ppm)
+    except InputError as error:
+        raise InputError(f"clock of the {device}: {error}") from None
+
+
+def _tell(say: Output, done: "Driven", duration_s: float, out: Path) -> None:
+    """What was recorded; ends with status 130 where the drive was stopped."""
+    from hardware.formatting import counted, number, quantity_text
+
     if done.resumed:
         kept = "complete already" if done.complete and done.computed_s == 0 else "gone on with"
         say.line(f"{out}: {kept}, {done.resumed} events were there")
-    covered, whole = (quantity_text(time_s, "s", 4) for time_s in (done.covered_s, plan.duration_s))
+    covered, whole = (quantity_text(time_s, "s", 4) for time_s in (done.covered_s, duration_s))
     pace = f"; computed at {number(done.pace)} of real time" if done.computed_s else ""
     say.verdict(f"{done.events} events, {covered} of {whole}{pace}")
     say.add(
