@@ -61,6 +61,7 @@ def body_echo(item: SceneObject, *obstacles: SceneObject, **more) -> complex:
     return wave(hidden.echoes) / wave(free.echoes)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("height", [-0.05, 0.0, 0.03, 0.1])
 def test_a_plate_behind_a_screen_answers_over_its_edge(height: float) -> None:
     """8 cm wide: every point of it by its own knife edge, there and back, summed as the plate's own
@@ -298,6 +299,7 @@ def test_faint_waves_to_a_small_tilted_box_are_followed() -> None:
     assert body.true < body.stated < 4 * body.true
 
 
+@pytest.mark.thorough
 def test_behind_two_screens_twice_as_much_is_stated_of_a_cell() -> None:
     """Waves over an end of either are left out: 1.4 times what is stated behind one screen."""
     (body,) = against_brute_force("layers", behind_two_screens("layers", 3), RADAR)

@@ -120,6 +120,7 @@ def fine_dihedral(faces: int) -> SceneObject:
     return thing("body", vertices, corners)
 
 
+@pytest.mark.thorough
 def test_many_facets_in_the_light_are_followed_as_traced() -> None:
     """What rays find of them takes the waves of edges; what they miss is stated."""
     many = fine_dihedral(4096)

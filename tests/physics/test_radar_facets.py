@@ -309,6 +309,7 @@ def test_a_plate_far_off_its_mirror_direction(turns: tuple) -> None:
     assert relative(over_the_band(world(quad("p", square)), 0.1), summed([square])) < 0.01
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     "corners",
     [
@@ -373,6 +374,7 @@ def test_a_ball_against_geometrical_optics(tolerance: float) -> None:
     assert found == pytest.approx(expected, rel=tolerance)
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("tolerance", [0.1, 0.03])
 def test_a_plate_beside_the_radar_that_seems_louder_at_first(tolerance: float) -> None:
     """0.1 m at 0.05 m, turned by 40 deg: undivided it seems 40 dB louder than it is, and errors

@@ -104,6 +104,7 @@ def evaluations() -> tuple[RadarEvaluation, RadarEvaluation]:
     return by_default, finely
 
 
+@pytest.mark.thorough
 def test_levels_hold_those_of_a_finer_trace(
     evaluations: tuple[RadarEvaluation, RadarEvaluation],
 ) -> None:

@@ -125,7 +125,7 @@ def test_a_ball_in_a_mirror(level: int) -> None:
     assert abs(found[1] - found[0]) == pytest.approx(expected, rel=0.12)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("tolerance", [0.05, 0.03])
 def test_errors_along_a_border_are_to_the_same_side(tolerance: float) -> None:
     """A trihedral that looks aside, 33 m away, whose echo is a few borders' and was off by up to

@@ -242,6 +242,7 @@ def test_processes_that_cannot_be_are_refused(tmp_path: Path, workers: object) -
     assert not path.exists()
 
 
+@pytest.mark.thorough
 def test_schedulers_that_cannot_be_are_refused(tmp_path: Path) -> None:
     path, address = tmp_path / "run.mcap", "tcp://127.0.0.1:1"
     with pytest.raises(InputError, match=rf"scheduler: '{address}': can't be reached"):

@@ -352,6 +352,7 @@ def test_levels_and_strong_echoes_of_no_declared_target_count(twin_truth) -> Non
         assert worse(undeclared, detector) == {"undetected_echoes"}
 
 
+@pytest.mark.thorough
 def test_every_strong_echo_that_is_lost_shows(twin_truth) -> None:
     """Echoes far below the strongest, and parts of what is declared as one target: detections that
     are left out were fewer `unmatched` alone, which passed as better.
