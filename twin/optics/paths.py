@@ -28,6 +28,8 @@ from twin.transfer import vector
 
 Array = NDArray[np.float64]
 
+_GRAZING = 0.01  # cosine
+
 #: Rays of a render to a tolerance: some minute of one core.
 RAYS = 10**8
 #: Bounces at most of a path that ends by chance: one for so many rays of a render, and at least.
@@ -141,8 +143,7 @@ class _SunConnector:
     def __call__(self, hit: Any, rng: Any) -> Connection:
         mi = mitsuba()
         direction = self.direction_at(hit) if self.turns else self.direction
-        ray = hit.spawn_ray(direction)
-        return Connection(direction, ray, mi.Float(1), mi.Float(0), ())
+        return Connection(direction, ray_from(hit, direction), mi.Float(1), mi.Float(0), ())
 
     def direction_at(self, hit: Any) -> Any:
         """Towards the sun, at the instant of each hit."""
@@ -174,7 +175,8 @@ class _DeviceConnector:
         if self.is_pupil:
             weight *= cos
         left, up = apply_blur(self.device, left, up, rng)
-        distance, ray = dr.sqrt(distance2), hit.spawn_ray_to(origin)
+        distance = dr.sqrt(distance2)
+        ray = ray_from(hit, direction, distance)
         weight = dr.select((cos > 0) & is_in_field(self.device, left, up), weight, 0)
         if self.medium is not None and self.medium.scatters:
             weight *= self.medium.unscattered(distance)
@@ -206,6 +208,23 @@ def connector(light: Light, medium: Medium | None = None) -> Any:
     if isinstance(light, SunLight):
         return _SunConnector(light)
     return _DeviceConnector(light, medium)
+
+
+def ray_from(hit: Any, direction: Any, length: Any = dr.inf) -> Any:
+    """The ray from a surface along a direction, of some length.
+
+    It starts farther along, where it is as high above the surface as Mitsuba's, which starts above
+    the hit itself: on a surface askew that moves the borders of shadows, 3 m away by some 0.4 mm.
+    Within 0.6 degrees of the surface, where it would start far along, it is Mitsuba's.
+    """
+    mi = mitsuba()
+    ray = hit.spawn_ray(direction)
+    cosine = dr.abs(dr.dot(direction, hit.n))
+    along = dr.abs(dr.dot(ray.o - hit.p, hit.n)) * dr.rcp(dr.maximum(cosine, _GRAZING))
+    is_ahead = (cosine > _GRAZING) & (along < length)
+    ray.o = dr.select(is_ahead, dr.fma(direction, along, hit.p), ray.o)
+    ray.maxt = mi.Float(length - dr.select(is_ahead, along, 0))
+    return ray
 
 
 def bounce(hit: Any, ray: Any, rng: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.paths import Connection, Light, albedo, connector
+from twin.optics.paths import Connection, Light, albedo, connector, ray_from
 from twin.optics.scattering import Medium, ScatteredPath
 
 
@@ -84,7 +84,7 @@ class PathSteps:
         path = ScatteredPath(self.medium, link.direction, link.length, rng, active)
         around = self._connect.scattered(link, path)
         more, lit = self._reflected(hit, ray, around, active)
-        lit = path.is_clear(self.scene, hit.spawn_ray(path.first).o, lit)
+        lit = path.is_clear(self.scene, ray_from(hit, path.first).o, lit)
         return _together(value, link, dr.select(lit, more, 0), around)
 
     def _reflected(self, hit: Any, ray: Any, link: Connection, active: Any) -> tuple[Any, Any]:
