@@ -302,15 +302,17 @@ def test_what_air_does_is_told_no_smaller_than_it_is(weather: str) -> None:
 
 
 def test_the_area_of_a_near_pupil_is_told_no_smaller_than_it_is() -> None:
-    """A wall at 40 radii of the pupil, whose area then counts, and one where it does not."""
+    """A wall at 40 and 400 radii of the pupil, whose area then counts, and where it does not."""
     design = load_system("workable").with_(SMALL)
     radius_m = collection(design).pupil_diameter_m / 2
-    for radii, is_taken in ((40.0, True), (400.0, False)):
+    for radii, is_taken in ((40.0, True), (400.0, True), (4e4, False)):
         wall = body(SQUARE, at=(radii * radius_m, 0, 0))
         scene = replace(load_scene("fig3a"), objects=(wall,), rig=Rig(Pose((0.0, 0.0, 0.0))))
         found = capture(scene, design, seed=1, fidelity=Fidelity(light_tolerance=0.2))
         decision = told(found, "the area of the detector's pupil")
         assert decision.taken == is_taken == (decision.bound > decision.permitted)
+        if not is_taken:
+            continue  # below what float32 tells
         lights = []
         for disc_m in (0.0, radius_m):
             detector = replace(DETECTOR, origin_m=np.zeros(3), disc_radius_m=disc_m)

@@ -62,6 +62,14 @@ class MovingScene:
         check_scenes_of_a_kernel(len(bodies), "bodies that move are several")
         self._bodies = tuple(bodies)
         self._instant: int | None = None
+        #: Largest coordinate of any body, at any instant, or more.
+        self.extent_m = max(
+            (
+                float(np.abs(b.shifts_m).max() + np.linalg.norm(b.center_m) + b.radius_m)
+                for b in bodies
+            ),
+            default=0.0,
+        )
         self._placed = [_Placed(body, number) for number, body in enumerate(bodies)]
         self._n = len(bodies[0].shifts_m) if bodies else 1
         self._groups = [

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from twin.engine import mitsuba
-from twin.optics.paths import Connection, Light, albedo, connector, ray_from
+from twin.optics.paths import Connection, Light, albedo, clearance_m, connector, ray_from
 from twin.optics.scattering import Medium, ScatteredPath
 
 
@@ -31,7 +31,8 @@ class PathSteps:
     def __init__(self, scene: Any, light: Light, medium: Medium | None) -> None:
         self.scene, self.medium = scene, medium
         self.scatters = medium is not None and medium.scatters
-        self._connect = connector(light, medium)
+        self.clearance = dr.opaque(mitsuba().Float, clearance_m(scene))
+        self._connect = connector(light, self.clearance, medium)
 
     def meet(self, ray: Any, coherent: bool, active: Any = True) -> Any:
         """Intersection of a ray with the scene, at a point on the ray itself.
@@ -84,7 +85,7 @@ class PathSteps:
         path = ScatteredPath(self.medium, link.direction, link.length, rng, active)
         around = self._connect.scattered(link, path)
         more, lit = self._reflected(hit, ray, around, active)
-        lit = path.is_clear(self.scene, ray_from(hit, path.first).o, lit)
+        lit = path.is_clear(self.scene, ray_from(hit, path.first, self.clearance).o, lit)
         return _together(value, link, dr.select(lit, more, 0), around)
 
     def _reflected(self, hit: Any, ray: Any, link: Connection, active: Any) -> tuple[Any, Any]:

@@ -116,7 +116,7 @@ class Tracer:
             if self.quality.max_depth > 1:
                 throughput = throughput * albedo(hit, active)
                 active = active & (throughput > 0)
-                ray = bounce(hit, ray, rng)
+                ray = bounce(hit, ray, rng, steps.clearance)
                 dr.schedule(throughput, ray, active, path_length, rng)
             yield light
             dr.eval()
@@ -192,7 +192,7 @@ def _further(
     mi = mitsuba()
     hit, ray, active, length = steps.next_surface(ray, rng, active, first=True)
     throughput, total = albedo(hit, active), mi.Float(0)
-    ray = bounce(hit, ray, rng)
+    ray = bounce(hit, ray, rng, steps.clearance)
     depth = mi.UInt32(1)
     active &= throughput > 0
     while active & (depth < max_depth):
@@ -208,7 +208,7 @@ def _further(
         else:
             throughput *= albedo(hit, active)
         active &= throughput > 0
-        ray = bounce(hit, ray, rng)
+        ray = bounce(hit, ray, rng, steps.clearance)
         depth += 1
     return total, depth
 
