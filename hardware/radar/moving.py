@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware.radar.ambiguity import possible_rates
 from hardware.radar.demodulation import Complex
 from hardware.radar.fitted_targets import FittedTargets, fitted_echo
 from hardware.radar.joint_fit import JointFit, JointModel
@@ -49,7 +50,8 @@ def moving_echoes(
     than one moves there.
 
     ``noise_w``: of a cell without a window; ``false_alarm``: probability that noise alone is taken
-    for a second echo; ``fastest``: largest delay rate, in s/s.
+    for a second echo; ``fastest``: largest delay rate, in s/s, of which ``echoes`` hold all rates
+    up to half a cell more.
     """
     moving = without_static_echoes(echoes, waveform)
     near = cells_apart(echoes, moving, waveform)[..., 0].min(axis=1, initial=np.inf)
@@ -62,7 +64,7 @@ def moving_echoes(
     for echo, blocks in zip(moving, about, strict=True):
         model = _model(blocks, [other for other in moving if other is not echo], noise_w)
         fit = _likeliest(model, [np.array([[0.0, cells]]) for cells in _TRIED], 1)
-        parts = [_moved(echo, fitted_echo(model, fit, 0, waveform, noise_w))]
+        parts = [_moved(echo, fitted_echo(model, fit, 0, waveform, noise_w), waveform, fastest)]
         several = _highest_left_w(model, fit) > least_w
         if several and _is_at_rest(parts[0], waveform):
             fit = _likeliest(model, _PAIRS, _MOST_PAIRS)
@@ -71,7 +73,7 @@ def moving_echoes(
             n_lost += not without_static_echoes(parts, waveform)
         elif several and (with_slow := _beside_slow(model, fit, least_w)):
             both = [fitted_echo(model, with_slow, i, waveform, noise_w) for i in range(2)]
-            parts = [_moved(echo, both[0]), both[1]]
+            parts = [_moved(echo, both[0], waveform, fastest), both[1]]
         if without_static_echoes(parts, waveform):
             measured += parts
     return without_duplicates(measured, waveform, folded=False), n_lost
@@ -114,11 +116,18 @@ def _beside_slow(model: JointModel, fit: JointFit, least_w: float) -> JointFit |
     return both if is_slow and _highest_left_w(model, both) <= least_w else None
 
 
-def _moved(echo: EchoMeasurement, fitted: EchoMeasurement) -> EchoMeasurement:
-    """An echo as it is fitted, with what other rates it may have."""
+def _moved(
+    echo: EchoMeasurement, fitted: EchoMeasurement, waveform: OfdmWaveform, fastest: float
+) -> EchoMeasurement:
+    """An echo as it is fitted, at the likeliest of its rates that is none too fast, and with what
+    others it may have.
+    """
     moved = fitted.delay_rate - echo.delay_rate
-    alternatives = tuple(rate + moved for rate in echo.delay_rate_alternatives)
-    return replace(fitted, delay_rate_alternatives=alternatives)
+    rates = np.array([echo.delay_rate, *echo.delay_rate_alternatives]) + moved
+    possible = possible_rates(fitted, waveform, fastest)
+    off = np.abs(rates[:, None] - possible).min(axis=1)
+    likeliest, *others = rates[off < waveform.delay_rate_cell / 2].tolist() or [fitted.delay_rate]
+    return replace(fitted, delay_rate=likeliest, delay_rate_alternatives=tuple(others))
 
 
 def _highest_left_w(model: JointModel, fit: JointFit) -> float:

@@ -251,7 +251,10 @@ def _echoes(
     noise_w = image.noise_w / noise_gain(how.window, channel.shape[-2:])
     if how.moving_only:  # the mean over slots took as much of the noise as one of them
         noise_w *= channel.shape[-1] / (channel.shape[-1] - 1)
-    echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, _fastest(how))
+    fastest = _fastest(how)
+    if how.moving_only:  # rates are off by up to half a cell until they are measured anew
+        fastest += interval.waveform.delay_rate_cell / 2
+    echoes = resolve_delay_rates(channel, interval.waveform, echoes, noise_w, fastest)
     warnings = [
         *too_many(burst, len(echoes), how),
         *of_the_map(burst, image, how, clutter),

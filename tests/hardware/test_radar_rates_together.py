@@ -63,3 +63,20 @@ def test_echoes_at_both_ends_of_the_rates_are_split_together() -> None:
     [first, second] = groups_of(ends, WAVE)
     assert first == ends[:2]
     assert second == ends[2:]
+
+
+@pytest.mark.parametrize("cells", [2.45, -2.5, 2.55])
+def test_a_rate_near_the_fastest_is_not_too_fast_before_it_is_measured(cells: float) -> None:
+    """Without the mean over four slots a rate of 2.5 cells is measured beyond the fastest, of 2.63:
+    it was left out, and the echo told 4 cells slower, with no alternative.
+    """
+    wave = replace(WIDE, n_slots=4)
+    cell = wave.velocity_cell_m_per_s
+    how = Processing(moving_only=True, fastest_m_per_s=2.63 * cell)
+    for seed in range(4):
+        echo = Echo((9.0, 0, 0), 1e-9, (cells * cell, 0, 0), phase_rad=0.3 + seed)
+        record = cube(wave, [echo], noise_w=_NOISE_W, seed=seed)
+        [one] = process(record, how=how).detections
+        told = np.array([one.range_rate_m_per_s, *one.range_rate_alternatives_m_per_s])
+        assert np.abs(told - cells * cell).min() < 5 * one.range_rate_error_m_per_s
+        assert np.abs(told).max() < 2.63 * cell + 5 * one.range_rate_error_m_per_s
