@@ -31,7 +31,7 @@ from twin.detector.interface import check_detector, checked_exposure
 from twin.fidelity import Noise
 from twin.optics.emission import cell_gains
 from twin.optics.passband import Passband, passband
-from twin.optics.radiometry import Collection, collection
+from twin.optics.radiometry import Collection, collection, near_pupil_m
 from twin.optics.spectra import responsivity_a_per_w
 from twin.optics.time_of_flight import Paths
 from twin.own_parts import made_by
@@ -175,7 +175,9 @@ class Chain:
             error_w=lit * rendered.light.error,
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
-            left_out_w=_left_out(lit, rendered.light.left_out),
+            left_out_w=_left_out(
+                lit, rendered.light.left_out + self._of_pupil(rendered) * rendered.light.cells
+            ),
             sun_error_w=self._sun_error(rendered),
             sun_left_out_w=self._sun_left_out(rendered),
             sun_of_cells_w=self._sun_of_cells(rendered),
@@ -222,7 +224,15 @@ class Chain:
 
     def _sun_left_out(self, rendered: "RenderedLight") -> Array:
         """Bound of what is left out of that power, (n_detectors,)."""
-        return self._of_exposure(_left_out(self.sun_weight(rendered), rendered.sun_left_out))
+        beyond = rendered.sun_left_out + self._of_pupil(rendered) * rendered.sun
+        return self._of_exposure(_left_out(self.sun_weight(rendered), beyond))
+
+    def _of_pupil(self, rendered: "RenderedLight") -> float:
+        """Share of the light that a pupil takes too much where its area does not count."""
+        nearest_m = float(rendered.truth.depth_m.min(initial=np.inf))
+        if self.system.optics.focus_m or near_pupil_m(self.lens, nearest_m):
+            return 0.0
+        return (self.lens.pupil_diameter_m / 2 / nearest_m) ** 2
 
     def _of_exposure(self, parts: Array) -> Array:
         """Sum over the parts of the field that a detector sees in an exposure, in the mean."""
