@@ -74,7 +74,7 @@ class Tracer:
     @property
     def scatters(self) -> bool:
         """Whether scatterings in the air are followed."""
-        return self._steps.scatters
+        return self._medium is not None and self._medium.scatters
 
     @property
     def largest_weight(self) -> float:
@@ -178,8 +178,11 @@ class Tracer:
 
     @cached_property
     def _steps(self) -> PathSteps:
-        medium = Medium(self.air, self.quality.air_orders) if self.air else None
-        return PathSteps(self.scene, self.light, medium)
+        return PathSteps(self.scene, self.light, self._medium)
+
+    @cached_property
+    def _medium(self) -> Medium | None:
+        return Medium(self.air, self.quality.air_orders) if self.air else None
 
 
 @dr.syntax
