@@ -505,14 +505,14 @@ def test_a_scheduler_without_workers_is_said(
     from distributed import LocalCluster
 
     path = study('[grid]\n"link.distance_m" = [1.0, 2.0]\n', CLOSED)
-    monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 1.0)
+    monkeypatch.setattr("twin.workers.pool.WITHOUT_WORKERS_S", 1.0)
     quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50, "threads_per_worker": 1}
     with LocalCluster(n_workers=0, processes=False, **quiet) as cluster:
         with pytest.raises(SchedulerGoneError, match="no workers for 1 s; start one: dask worker"):
             run_sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)
         assert "no workers; waiting" in capsys.readouterr().err
-        monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 60.0)
-        monkeypatch.setattr("twin.workers._LOOK_S", 0.1)
+        monkeypatch.setattr("twin.workers.pool.WITHOUT_WORKERS_S", 60.0)
+        monkeypatch.setattr("twin.workers.pool.LOOK_S", 0.1)
         late = Timer(0.5, cluster.scale, [1])
         late.start()
         done = run_sweep(path, out=tmp_path / "none", scheduler=cluster.scheduler_address)

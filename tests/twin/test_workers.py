@@ -19,7 +19,7 @@ from twin.workers import AskedToEndError, SchedulerGoneError, dask
 #: An end that closes nothing, as of a kill, with what a cluster holds meanwhile.
 ENDED_EARLY = """
 import multiprocessing, os
-from twin.workers import _local, _loop
+from twin.workers.cluster import _local, _loop
 
 if __name__ == "__main__":
     with _loop() as loop, _local(1, loop, lambda: False):
@@ -106,11 +106,11 @@ def test_workers_of_which_none_has_the_project_are_told(
     waited for.
     """
     address = running.scheduler_address
-    monkeypatch.setattr("twin.workers._LOOK_S", 0.1)
+    monkeypatch.setattr("twin.workers.pool.LOOK_S", 0.1)
     told = rf"scheduler {address}: worker tcp://\S+: none of it is here; all machines need"
     if moment == "within it":
         running.scale(1)
-        monkeypatch.setattr("twin.workers._WITHOUT_WORKERS_S", 1.0)
+        monkeypatch.setattr("twin.workers.pool.WITHOUT_WORKERS_S", 1.0)
         told = "no workers for 1 s"
     with worker_without_the_project(running, tmp_path), dask(address, None) as submit:
         if moment == "within it":
@@ -126,7 +126,7 @@ def test_work_of_a_worker_that_leaves_goes_to_one_that_came_since(
     running: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Work that is bound to the workers of its time is sent anew when all of these are gone."""
-    monkeypatch.setattr("twin.workers._LOOK_S", 0.1)
+    monkeypatch.setattr("twin.workers.pool.LOOK_S", 0.1)
     running.scale(1)
     address = running.scheduler_address
     with worker_without_the_project(running, tmp_path), dask(address, None) as submit:
