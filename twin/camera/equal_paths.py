@@ -14,6 +14,7 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
 from twin.optics.transport import CellLight, sunlight, transport
+from twin.optics.unseen import edge_variance
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ SUNLIT = 10 / math.pi
 MISSED = 3.0
 #: Standard deviation of the window over which variances of a line sensor are taken together.
 _WINDOW_CELLS = 1.5
+#: Parts of a line sensor's paths, and share of a cell's own scatter in its variance.
+LINE_PARTS, _OWN = 4, 0.75
 
 
 def with_light(
@@ -64,27 +67,34 @@ def emitter_light(
     if start == "auto":
         start = "scatter" if n_detectors > n_cells else "dual"
     ends = n_cells if start == "scatter" else n_detectors
-    # As many paths per pair of cell and column as per cell of a bucket detector, in two halves
-    # whose difference gives the error.
-    side = math.ceil(math.sqrt(quality.samples * ends / 2))
+    # As many paths per pair of cell and column as per cell of a bucket detector, in parts whose
+    # differences give the error.
+    side = math.ceil(math.sqrt(quality.samples * ends / LINE_PARTS))
     quality = replace(quality, samples=side * side)
-    halves = [
+    parts = [
         transport_matrix(
-            problem, shape, (1, n_detectors), quality=quality, seed=seed + half, start=start
+            problem, shape, (1, n_detectors), quality=quality, seed=seed + part, start=start
         )
-        for half in range(2)
+        for part in range(LINE_PARTS)
     ]
-    mean, own = (halves[0] + halves[1]) / 2, (halves[0] - halves[1]) ** 2 / 4
-    return DetectorLight(mean, np.sqrt((own + _around(own, shape)) / 2))
+    image = np.stack([_side_by_side(part, shape) for part in parts])
+    variance = _of_parts(image.mean(axis=0), image.var(axis=0, ddof=1), side**2 / ends)
+    error = np.stack(np.hsplit(np.sqrt(variance), n_detectors)).reshape(parts[0].shape)
+    return DetectorLight(np.mean(parts, axis=0), error)
 
 
-def _around(variance: Array, shape: tuple[int, int]) -> Array:
-    """Mean variance of the cells around, (n_detectors, n_cells): that of two halves alone has one
-    degree of freedom.
+def _side_by_side(values: Array, shape: tuple[int, int]) -> Array:
+    """The image of all columns, from (n_detectors, n_cells)."""
+    return np.hstack(list(values.reshape(len(values), *shape)))
+
+
+def _of_parts(light: Array, own: Array, paths: float) -> Array:
+    """Variance of the mean of parts of so many paths of a cell, whose variance is ``own``: a share
+    of it that of the cells around, since few parts hardly know it; at least what edges may do.
     """
-    side_by_side = np.hstack(list(variance.reshape(len(variance), *shape)))
-    around = gaussian_filter(side_by_side, _WINDOW_CELLS, mode="nearest")
-    return np.stack(np.hsplit(around, len(variance))).reshape(variance.shape)
+    around = gaussian_filter(own, _WINDOW_CELLS, mode="nearest")
+    variance = _OWN * own + (1 - _OWN) * around
+    return np.maximum(variance, edge_variance(light, paths)) / LINE_PARTS
 
 
 def of_bucket(gathered: CellLight) -> DetectorLight:

@@ -64,3 +64,12 @@ def contrast(light: Array) -> Array:
     """
     brightest, darkest = maximum_filter(light, 3), minimum_filter(light, 3, mode="constant")
     return np.asarray((brightest - darkest).ravel())
+
+
+def edge_variance(light: Array, paths: float) -> Array:
+    """Variance of cells' light, (rows, columns), by edges: whether a path sees what is before or
+    behind an edge in its stratum is chance, and of the ``paths`` of a cell a square root's number
+    have one there, if its light differs from that of cells around. Where these few paths all see
+    the same, their own scatter does not show it.
+    """
+    return np.square(contrast(light).reshape(light.shape)) / (6 * paths**1.5)

@@ -1,0 +1,99 @@
+"""Light of sensors all of whose cells have as many paths: errors against what is stated of them.
+
+A rectangle that faces both devices, which are in one place, has its light in closed form.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.camera.light import render
+from twin.fidelity import Tolerance
+from twin.geometry import Geometry
+from twin.scene import Pose, Rig, Scene, SceneObject, Sun
+from twin.system import System, load_system
+
+TAN = np.tan(np.radians(10.0))
+LINE = load_system("line-256x16").with_(
+    {"acquisition.columns": 8, "emitter.rows": 8, "acquisition.n_patterns": 8, "sky": None}
+)
+GATES = load_system("workable").with_(
+    {
+        "emitter.rows": 8,
+        "emitter.columns": 8,
+        "acquisition.n_patterns": 64,
+        "sky": None,
+        "time_of_flight": {
+            "pulse_width_s": 20e-9,
+            "pulse_rate_hz": 1e6,
+            "gate_width_s": 100e-9,
+            "gate_delays_s": [0.0, 100e-9],
+        },
+    }
+)
+Span = tuple[float, float]
+
+
+def rectangle(distance_m: float, across_m: Span, up_m: Span) -> Scene:
+    corners = [(distance_m, y, z) for y in across_m for z in up_m]
+    faces = np.array([[0, 2, 3], [0, 3, 1]])
+    item = SceneObject("plate", Geometry(np.array(corners), faces), "white", 0.5)
+    here = Pose((0.0, 0.0, 0.0))
+    return Scene("plate", Path(), "", (item,), Rig(here, detector=here), Sun(0.0, 30.0, 0.0))
+
+
+def exact(distance_m: float, across_m: Span, up_m: Span) -> np.ndarray:
+    """Light of 8 x 8 cells, 1/m^2: integrals of rho / pi x^3 / r^7 over the parts in them."""
+    x, w = np.polynomial.legendre.leggauss(8)
+    borders = TAN * distance_m * (1 - np.arange(9) / 4)
+    found = np.zeros((8, 8))
+    for row, column in np.ndindex(8, 8):
+        left, right = np.clip(across_m[::-1], *borders[[column + 1, column]])
+        top, bottom = np.clip(up_m[::-1], *borders[[row + 1, row]])
+        y = (left + right) / 2 + (left - right) / 2 * x[:, None]
+        z = (top + bottom) / 2 + (top - bottom) / 2 * x
+        density = 0.5 / np.pi * distance_m**3 * (distance_m**2 + y**2 + z**2) ** -3.5
+        found[row, column] = w @ density @ w * (left - right) * (top - bottom) / 4
+    return found
+
+
+def ratios(system: System, place: tuple[float, Span, Span], seed: int) -> np.ndarray:
+    """Error of each lit cell over 1.96 standard errors."""
+    true = exact(*place)
+    light = render(
+        rectangle(*place),
+        system,
+        fidelity=Tolerance().knobs(),
+        seed=np.random.SeedSequence(seed),
+    ).light
+    cells, error = (np.hstack(list(x.reshape(len(x), 8, -1))) for x in (light.cells, light.error))
+    lit = true > 0
+    return np.asarray((np.abs(cells - true) / np.maximum(1.96 * error, 1e-300))[lit])
+
+
+def test_a_line_sensor_states_what_edges_do() -> None:
+    """A bar 2.65 m away over a part of one row: of 40 runs 85 % of the cells, and none beyond three
+    times. Of two halves of paths, few of which meet an edge, both often see the same: 43 % of the
+    cells were within, and one that is lit had no light, 2492 times what was stated.
+    """
+    bar = (2.6517427, (-0.14038072, 0.22793607), (-0.11053665, -0.05691752))
+    found = np.concatenate([ratios(LINE, bar, seed) for seed in range(40)])
+    assert np.mean(found <= 1) >= 0.85
+    assert found.max() < 3
+
+
+@pytest.mark.parametrize("system", [LINE, GATES], ids=["line sensor", "gates"])
+def test_cells_at_edges_are_within_what_is_stated(system: System) -> None:
+    """Of 20 rectangles, 0.3 to 1.8 m wide: 90 % of the cells, none beyond four times. It was 81 %
+    of the line sensor's, 345 times at worst, and with gates cells that are lit had no light.
+    """
+    rng, found = np.random.default_rng(55300), []
+    for seed in range(20):
+        distance_m = float(rng.uniform(2, 5))
+        across_m, up_m = np.sort(rng.uniform(-TAN, TAN, (2, 2)) * distance_m)
+        place = (distance_m, tuple(across_m.tolist()), tuple(up_m.tolist()))
+        found.append(ratios(system, place, seed))
+    every = np.concatenate(found)
+    assert np.mean(every <= 1) >= 0.9
+    assert every.max() < 4
