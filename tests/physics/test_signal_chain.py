@@ -415,3 +415,11 @@ def test_every_grid_of_the_paper_works_with_mirrors(system, rows: int, columns: 
     assert taken.cells_e.shape == (rows, columns)
     truth, found = taken.cells_e, reconstruct(taken.record).picture
     assert np.corrcoef(truth.ravel(), found.ravel())[0, 1] > 0.5
+
+
+def test_cells_without_any_light_have_a_share_that_passes() -> None:
+    """Of bare LEDs with lobes of 0.3 degrees; it was not a number, and so was the signal."""
+    narrow = load_system("led-16x16-bare").with_({"emitter.viewing_angle_deg": 0.3})
+    taken = capture(still_yard(), narrow, seed=1)
+    assert np.isfinite(taken.cells_e).all()
+    assert taken.cells_e.max() > 0

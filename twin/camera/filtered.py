@@ -79,7 +79,7 @@ def _mean(
 ) -> Array:
     """Mean of a value, by angle to the detector's axis, over the n x n points of every cell, seen
     in directions (rows, columns, 3), that lie in the detector's field; of a cell that has none
-    there, over all. A surface that faces the detector sends cos^4 of its light.
+    there, or no light, over all. A surface that faces the detector sends cos^4 of its light.
     """
     ahead, left, up = np.moveaxis(seen @ detector.axes.T, -1, 0)
     cos = np.clip(ahead / np.linalg.norm(seen, axis=-1), -1, 1)
@@ -93,7 +93,10 @@ def _mean(
         rows, columns = points.shape
         return points.reshape(rows // n, n, columns // n, n).sum(axis=(1, 3))
 
+    def where_any(first: Array, other: Array) -> Array:
+        has_some = of_cells(first) > 0
+        return np.where(has_some.repeat(n, axis=0).repeat(n, axis=1), first, other)
+
     in_field = weight * (beside <= detector.tan_half_field * ahead)
-    has_some = of_cells(in_field) > 0
-    weight = np.where(has_some.repeat(n, axis=0).repeat(n, axis=1), in_field, weight)
+    weight = where_any(in_field, where_any(weight, np.ones_like(weight)))
     return np.asarray(of_cells(weight * value) / of_cells(weight))
