@@ -27,6 +27,7 @@ from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.scene.atmosphere import Atmosphere
 from twin.radar.propagation.solvers import seen_by, solver_of
 from twin.radar.synthesis import Complex, Contributions
+from twin.radar.synthesis.contributions import PLANE
 from twin.radar.truth import TrueTarget, true_targets
 from twin.scene import Scene
 from twin.scene.rig import Pose
@@ -330,6 +331,7 @@ def _of_leakage(radar: RadarDesign) -> Contributions:
         delay_acceleration_per_s=np.zeros(1),
         departure=nowhere,
         arrival=nowhere,
+        wavefront=np.full(1, PLANE, dtype=np.uint32),
     )
 
 

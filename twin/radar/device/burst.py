@@ -2,7 +2,7 @@
 
 Each step, transmitter and receiver by itself is a radar with one antenna: what its place and its
 time change about an echo's delay goes into the delay, so into the carrier's phase and the envelope
-alike. Wavefronts are plane over the antennas.
+alike. Wavefronts over the antennas are spheres: see `wavefronts`.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.synthesis import Array, Complex, Contributions, demodulated
+from twin.radar.synthesis.wavefronts import nearer_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +63,9 @@ class Burst:
         is_in_origin = not (sender.any() or listener.any())
         if is_in_origin and middle == 0:
             return replace(echoes, amplitude=amplitude)
-        rate, nearer_m = echoes.delay_rate, 0.0
+        rate, nearer = echoes.delay_rate, np.zeros(len(echoes))
         if not is_in_origin:
-            nearer_m = echoes.departure @ sender + echoes.arrival @ listener
+            nearer = nearer_m(echoes, sender, listener)
             # Per second: the path's direction turns, so elements see different rates.
             nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
             rate = rate - nearer_m_per_s / C_M_PER_S
@@ -73,7 +74,7 @@ class Burst:
         return replace(
             echoes,
             amplitude=amplitude,
-            delay_s=echoes.delay_s + moved - nearer_m / C_M_PER_S,
+            delay_s=echoes.delay_s + moved - nearer / C_M_PER_S,
             delay_rate=rate + faster,
         )
 

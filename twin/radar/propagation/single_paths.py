@@ -34,6 +34,7 @@ from twin.radar.propagation.scene.images import Image
 from twin.radar.rows import matching_pairs
 from twin.radar.scattering.kernel import turned
 from twin.radar.synthesis import Contributions
+from twin.radar.synthesis.contributions import OWN_IMAGE, POINT
 from twin.scene import Target
 from twin.transfer import host, vector
 
@@ -113,6 +114,7 @@ def _over_border(
         delay_s=echoes.delay_s + border.longer_m / speed_of_light,
         departure=towards,
         arrival=towards,
+        wavefront=np.full(len(echoes), POINT, dtype=np.uint32),
     )
 
 
@@ -156,6 +158,7 @@ def _whole_mirrors(context: TracingContext) -> tuple[Contributions, Array]:
         receiver=none,
         departure_per_s=np.einsum("nij,nj->ni", exact.axes, departing),
         arrival_per_s=-aside,
+        wavefront=np.where(np.array(context.orders)[1:] == 1, OWN_IMAGE, POINT).astype(np.uint32),
     )
     return whole, share
 

@@ -26,6 +26,11 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Numbers = NDArray[np.uint32]
 
+#: Wavefronts over the antennas: spheres around a point half of the way off, or around the
+#: antennas' own image in a mirror; planes.
+POINT, OWN_IMAGE, PLANE = 0, 1, 2
+_NUMBERS = ("object", "source", "receiver", "first", "bounces", "wavefront")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Contributions(Described):
@@ -54,6 +59,8 @@ class Contributions(Described):
         round obstacles.
     source, receiver : (n,)
         Numbers of the images of the forward and of the return path.
+    wavefront : (n,)
+        `POINT`, `OWN_IMAGE` or `PLANE`.
 
     From ``departure_per_s`` on all are 0 by default. While echoes are traced, amplitudes are
     without the antenna's gain and the front end's losses, and vectors in the world's axes:
@@ -75,14 +82,14 @@ class Contributions(Described):
     receiver: Numbers = None  # type: ignore[assignment]
     first: Numbers = None  # type: ignore[assignment]
     bounces: Numbers = None  # type: ignore[assignment]
+    wavefront: Numbers = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = len(self.delay_s)
         for field in fields(self)[6:]:
             if getattr(self, field.name) is None:
                 shape = (n, 3) if field.name in ("departure_per_s", "arrival_per_s") else (n,)
-                is_number = field.name in ("object", "source", "receiver", "first", "bounces")
-                zeros = np.zeros(shape, np.uint32 if is_number else np.float64)
+                zeros = np.zeros(shape, np.uint32 if field.name in _NUMBERS else np.float64)
                 object.__setattr__(self, field.name, zeros)
 
     def __len__(self) -> int:

@@ -25,7 +25,16 @@ _OF_BAND_RAD, _APART_RAD = 0.3, 0.15  # of phase, at the ends
 _MOST_APART = 0.01  # directions
 _LEAST_WEIGHT = 1e-9
 _AT_ONCE = 2**19  # echoes, for memory: some 0.3 GB
-_COMMON = ("object", "first", "source", "receiver", "bounces", "falloff", "wavelength_power")
+_COMMON = (
+    "object",
+    "first",
+    "source",
+    "receiver",
+    "bounces",
+    "wavefront",
+    "falloff",
+    "wavelength_power",
+)
 _CONTINUOUS = (
     "departure",
     "arrival",

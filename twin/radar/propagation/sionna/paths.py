@@ -36,6 +36,7 @@ from twin.radar.propagation.tabulated import (
     specular_path,
 )
 from twin.radar.synthesis import Contributions
+from twin.radar.synthesis.contributions import OWN_IMAGE, POINT
 from twin.scene import Scene, SceneObject, Target
 
 Array = NDArray[np.float64]
@@ -212,6 +213,7 @@ class _Refinement:
         # A path without a target ends at the radar's own image.
         turns = [*turns, -motions[0][1]][:2]
         ends = self._direction(vertices[0]), self._direction(vertices[-1])
+        is_own_image = at is None and len(planes) == 1
         spin = self._in_antenna(world.motion.spin_rad_per_s)
         name = PathName(
             tuple(m.name for m in interactions), None if at is None else interactions[at].name
@@ -225,6 +227,7 @@ class _Refinement:
             arrival=ends[1],
             departure_per_s=self._in_antenna(turns[0]) - np.cross(spin, ends[0]),
             arrival_per_s=self._in_antenna(turns[1]) - np.cross(spin, ends[1]),
+            wavefront=np.full(1, OWN_IMAGE if is_own_image else POINT, dtype=np.uint32),
         )
         amplitude = np.array([complex(raw.amplitude * self._gain(echo))])
         return _Refined(name, replace(echo, amplitude=amplitude))
