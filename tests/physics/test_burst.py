@@ -11,6 +11,8 @@ from scipy.constants import c as light_speed
 from hardware.waveform import OfdmWaveform
 from twin.radar.device.burst import Burst, burst_channel
 from twin.radar.synthesis import Contributions, demodulated, direct_sum, synthesize
+from twin.radar.synthesis.contributions import OWN_IMAGE, PLANE
+from twin.radar.synthesis.wavefronts import nearer_m
 
 WIDE = OfdmWaveform(79e9, 64, 15.625e6, 24, 39.0625e-6, 20, 1e-6)
 NARROW = OfdmWaveform(2.26e9, 64, 312.5e3, 16, 3.6e-6, 1, 0.4e-6)
@@ -33,6 +35,7 @@ def echoes(n: int, n_steps: int, seed: int = 0, speed: float = 20.0) -> Contribu
         unit_vectors(rng, n),
         speed / 10 * rng.normal(size=(n, 3)),
         speed / 10 * rng.normal(size=(n, 3)),
+        wavefront=np.full(n, PLANE, dtype=np.uint32),
     )
 
 
@@ -130,6 +133,7 @@ def test_what_goes_straight_across_does_not_depend_on_places() -> None:
     nowhere = np.zeros((1, 3))
     still = np.zeros(1)
     part = Contributions(np.ones(1, complex), np.array([3e-9]), still, still, nowhere, nowhere)
+    part = replace(part, wavefront=np.full(1, PLANE, dtype=np.uint32))
     found = burst_channel(part, BURSTS["array"])
     np.testing.assert_allclose(found, np.broadcast_to(found[:, :1, :1], found.shape), rtol=1e-12)
 
@@ -146,10 +150,42 @@ def test_a_targets_angle_is_in_the_phase_from_antenna_to_antenna() -> None:
     towards = np.array([[np.cos(azimuth), np.sin(azimuth), 0.0]])
     still = np.zeros(1)
     part = Contributions(np.ones(1, complex), np.array([2e-7]), still, still, towards, towards)
+    part = replace(part, wavefront=np.full(1, PLANE, dtype=np.uint32))
     middle = WIDE.n_subcarriers // 2
     virtual = burst_channel(part, burst)[0, :3, :, middle].ravel()
     steps = np.angle(virtual[1:] / virtual[:-1])
     np.testing.assert_allclose(steps, np.pi * np.sin(azimuth), atol=1e-6)
+
+
+@pytest.mark.parametrize("distance_m", [0.5, 5.0, 150.0, 1e4])
+def test_ways_from_an_element_to_a_point_and_back_are_straight(distance_m: float) -> None:
+    """By their lengths, to 1e-12 m; as a plane it were 15 mm off at 5 m."""
+    rng = np.random.default_rng(3)
+    towards = unit_vectors(rng, 20)
+    sender_m, listener_m = rng.normal(size=(2, 3)) * 0.2
+    still = np.zeros(20)
+    delay_s = np.full(20, 2 * distance_m / light_speed)
+    part = Contributions(np.ones(20, complex), delay_s, still, still, towards, towards)
+    points_m = distance_m * towards
+    ways_m = sum(np.linalg.norm(points_m - place, axis=1) for place in (sender_m, listener_m))
+    found = nearer_m(part, sender_m, listener_m)
+    np.testing.assert_allclose(found, 2 * distance_m - ways_m, atol=1e-12 * max(1, distance_m))
+
+
+@pytest.mark.parametrize("distance_m", [0.5, 5.0, 150.0])
+def test_the_way_from_an_element_over_a_mirror_to_another_is_straight(distance_m: float) -> None:
+    """To the mirror image of the other one."""
+    rng = np.random.default_rng(4)
+    normal = unit_vectors(rng, 1)
+    sender_m, listener_m = rng.normal(size=(2, 3)) * 0.1
+    still = np.zeros(1)
+    delay_s = np.full(1, 2 * distance_m / light_speed)
+    part = Contributions(np.ones(1, complex), delay_s, still, still, normal, normal)
+    part = replace(part, wavefront=np.full(1, OWN_IMAGE, dtype=np.uint32))
+    image_m = listener_m + 2 * (distance_m - listener_m @ normal[0]) * normal[0]
+    found = nearer_m(part, sender_m, listener_m)
+    way_m = np.linalg.norm(image_m - sender_m)
+    np.testing.assert_allclose(found, 2 * distance_m - way_m, atol=1e-12)
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-5, 1e-3, 0.3, 30.0])

@@ -221,10 +221,9 @@ def over_array(lengths_of) -> np.ndarray:
 
 
 def off_over_time(found, exact) -> float:
-    """Apart from each pair's own phase: wavefronts bend over the antennas, which is left out."""
+    """Apart from one phase that all pairs share."""
     ratio = found / exact
-    for i in range(3):
-        ratio[i::3] /= ratio[i::3].mean(axis=0)
+    ratio /= ratio.mean()
     return float(np.sqrt(np.mean(np.abs(ratio - 1) ** 2)))
 
 

@@ -30,7 +30,10 @@ from twin.warned import CaptureWarning
 Array = NDArray[np.float64]
 
 _FAINT_DB = -40.0  # bodies below the strongest whose rates are not warned of
-_BENT_RAD = 0.02  # phase that a model of path or wavefront leaves out from which it is warned of
+_BENT_RAD = 0.02  # phase that a model of a path leaves out from which it is warned of
+#: Phase by which wavefronts bend over the antennas from which directions are off by more than the
+#: vehicle states: by four stated errors at 1.6 rad, by one at 0.8 (37 dB, 48 antennas in a row).
+_CURVED_RAD = 0.5
 _COARSE = 0.05  # of an echo, 0.4 dB: error by coarse facets from which it is warned of
 _NOISY_RAD = 0.3  # phase noise of an echo from which its square matters
 
@@ -111,7 +114,7 @@ def warnings(
     messages += _coarse(scene, radar, bursts[0])
     if not bursts[0].instants:
         messages += _bends(scene, radar)
-    messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _BENT_RAD]
+    messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _CURVED_RAD]
     messages += _noise(radar, farthest)
     if not any(len(burst.contributions) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
@@ -157,8 +160,7 @@ def _antennas(radar: RadarDesign) -> str:
     return (
         f"{len(burst.transmitters_m)} transmitters take turns by slot, so range rates are "
         f"unambiguous to +/- {turns:.3g} m/s (one alone: {alone:.3g}); "
-        f"{len(burst.receivers_m)} receivers; {common}; wavefronts plane over the antennas, their "
-        "coupling left out"
+        f"{len(burst.receivers_m)} receivers; {common}; the coupling of antennas left out"
     )
 
 
@@ -226,9 +228,10 @@ def _curvature_rad(radar: RadarDesign, range_m: float) -> float:
 
 def _curved(radar: RadarDesign, target: TrueTarget) -> CaptureWarning:
     return CaptureWarning(
-        "model",
+        "design",
         f"{target.name} is so near that wavefronts bend by "
-        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas, which is left out",
+        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas: the vehicle takes them "
+        "for plane, so that direction and level are off by more than it states",
     )
 
 

@@ -37,6 +37,12 @@ class Burst:
         slots = np.arange(self.waveform.n_slots)
         return (slots % len(self.transmitters_m)).astype(np.uint8)
 
+    @property
+    def reach_m(self) -> float:
+        """How far a transmitter and a receiver are from the origin at most, together."""
+        places = self.transmitters_m, self.receivers_m
+        return float(sum(np.linalg.norm(each, axis=1).max() for each in places))
+
     def slots(self, transmitter: int) -> slice:
         """Slots of one transmitter."""
         return slice(transmitter, None, len(self.transmitters_m))

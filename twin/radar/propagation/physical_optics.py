@@ -96,7 +96,7 @@ def scattered(
             traced,
         )
     half_s = radar.burst_s / 2 if followed_s is None else followed_s
-    bodies = scatterers(prepared, radar.antenna, body, half_s)
+    bodies = scatterers(prepared, radar.antenna, body, half_s, radar.burst.reach_m)
     parameters = fidelity.radar_tolerance, fidelity.radar_bounces
     by_images = fidelity.radar_images is None
     setting, valid = None, None

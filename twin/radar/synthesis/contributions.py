@@ -46,7 +46,7 @@ class Contributions(Described):
     departure, arrival : (n, 3)
         Unit vectors from the antenna along the start of the forward path and towards the end of the
         return path, in its own axes: x ahead, y left, z up; zero for a path that does not depend on
-        the antennas' places.
+        the antennas' places, of a `PLANE` wavefront.
     departure_per_s, arrival_per_s : (n, 3)
         Their derivatives in time, 1/s: of a target that crosses, the elements of an array receive
         different Doppler shifts.

@@ -49,7 +49,8 @@ _OVER_BAND = 0.001  # likewise what `wideband` is off by over the band, of phase
 #: Of a path's length, by which rounding alone may bend the phases across a triangle: twice what
 #: 2000 directions show at most.
 _ROUNDING = 4 * np.finfo(np.float64).eps
-_TURNED = 0.7  # of the phase that motion adds across a triangle by the end of a burst
+#: Of the phase that motion adds across a triangle by the end of a burst, or an element aside.
+_TURNED = 0.7
 _NARROW = 0.15  # size over distance, up to which the gain is bounded by that at the corners
 _NEAREST = 0.05  # of the distance of the centroid
 _MOST_AGAIN = 0.9  # ratio of successive round trips within a wall, at most
@@ -236,11 +237,14 @@ def echoes_of(context: TracingContext, scatterers: Scatterers, lit: Triangles) -
     # Where the curvature is large, its first power says nothing.
     is_flat = relative < _MOST_CURVATURE
     curved = dr.select(is_flat, dr.minimum(curved, strength), strength)
-    if scatterers.half_time_s:
-        change_rad = (
-            scatterers.half_time_s * k * _turning(context, scatterers, lit, wave, return_path)
-        )
-        curved += strength * dr.minimum(_TURNED * change_rad * strength / most, 1)
+    if scatterers.half_time_s or scatterers.reach_m:
+        turned_m = context.mi.Float64(0)
+        if scatterers.half_time_s:
+            turning_m_per_s = _turning(context, scatterers, lit, wave, return_path)
+            turned_m += scatterers.half_time_s * turning_m_per_s
+        if scatterers.reach_m:
+            turned_m += scatterers.reach_m * _turned_by_elements(lit, wave, return_path)
+        curved += strength * dr.minimum(_TURNED * k * turned_m * strength / most, 1)
     if context.walls is not None:  # internal reflections of walls repeat the echo
         again = 1 + _again(wave.transmission) + _again(return_path.transmission)
         strength, curved = strength * again, curved * again
@@ -270,6 +274,22 @@ def _again(transmission: SlabTransmission) -> Real:
     return dr.minimum(share, _MOST_AGAIN) / (1 - dr.minimum(share, _MOST_AGAIN))
 
 
+def _turned_by_elements(lit: Triangles, wave: Incident, return_path: OneWayPath) -> Real:
+    """Change of the difference of path length between two corners, over how far aside an element
+    is.
+    """
+    nearest = dr.minimum(dr.norm(lit.center - wave.origin), return_path.length)
+    return dr.sqrt(_longest2(lit)) / dr.maximum(nearest, NEAREST_M)
+
+
+def _longest2(lit: Triangles) -> Real:
+    """Squares of the longest edges."""
+    a, b, c = lit.corners
+    return dr.maximum(
+        dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
+    )
+
+
 def _turning(
     context: TracingContext,
     scatterers: Scatterers,
@@ -281,11 +301,7 @@ def _turning(
     number = dr.gather(context.mi.UInt32, context.world.object_index, lit.face)
     own = scatterers.motions.at(context.mi, number, lit.center)
     incident = lit.center - wave.origin
-    length = dr.norm(incident)
-    a, b, c = lit.corners
-    size = dr.maximum(
-        dr.squared_norm(b - a), dr.maximum(dr.squared_norm(c - b), dr.squared_norm(a - c))
-    )
+    length, size = dr.norm(incident), _longest2(lit)
     there = turning(own.velocity - wave.motion.velocity, incident / length, length)
     again = turning(
         own.velocity - return_path.motion.velocity, -return_path.back, return_path.length

@@ -36,7 +36,8 @@ class Scatterers:
 
     On the device: the ``antenna``; per object ``answers``, whether it scatters, its ``surface`` and
     ``motions``; per facet ``parts``, the number of its convex part (`convexity.convex_parts`).
-    ``half_time_s``: half the duration of the burst, 0 where nothing moves. ``is_over_band``:
+    ``half_time_s``: half the duration of the burst, 0 where nothing moves. ``reach_m``: of the
+    antennas, as of `Burst.reach_m`. ``is_over_band``:
     whether echoes become contributions that hold over the band (`wideband`), or count at single
     frequencies, each integrated by itself.
     """
@@ -52,11 +53,16 @@ class Scatterers:
     motions: MovingBodies
     parts: Any
     half_time_s: float = 0.0
+    reach_m: float = 0.0
     is_over_band: bool = True
 
 
 def scatterers(
-    prepared: PreparedScene, antenna: Antenna, body: NDArray[np.int32], half_time_s: float = 0.0
+    prepared: PreparedScene,
+    antenna: Antenna,
+    body: NDArray[np.int32],
+    half_time_s: float = 0.0,
+    reach_m: float = 0.0,
 ) -> Scatterers:
     """Scatterers of a scene, by the body of every object, -1 where it does not scatter."""
     world, mi = prepared.world, prepared.context.mi
@@ -82,6 +88,7 @@ def scatterers(
         motions=MovingBodies.of(mi, prepared.motions, prepared.accelerates),
         parts=mi.UInt32(aligned(convex_parts(world))),
         half_time_s=half_time_s if prepared.moves else 0.0,
+        reach_m=reach_m,
     )
 
 
