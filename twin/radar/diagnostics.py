@@ -230,8 +230,8 @@ def _curved(radar: RadarDesign, target: TrueTarget) -> CaptureWarning:
     return CaptureWarning(
         "design",
         f"{target.name} is so near that wavefronts bend by "
-        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas: the vehicle takes them "
-        "for plane, so that direction and level are off by more than it states",
+        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas: the vehicle takes "
+        "them for plane, so that direction and level are off by more than it states",
     )
 
 
