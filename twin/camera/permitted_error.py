@@ -147,10 +147,12 @@ class PermittedError:
 
         ``sun``: as rendered so far; ``largest``: more than a part of the field can have. Where
         exposures are not subtracted from each other, in which the sun is more than noise, the same
-        share of the sun itself.
+        share of the sun itself. Without limit where the sun does not shine.
         """
         chain, one = self.chain, self.chain.system.n_detectors == 1
         total = sun.sum(keepdims=True).reshape(1) if one else sun.sum(axis=0)
+        if not chain.sky.illuminance_lx:
+            return np.full(total.shape, np.inf)
         relative = 2 * SUN_SHARE * self.tolerance
         if self.fidelity.light_tolerance is None or chain.system.patterns.mode != "differential":
             return relative * total
