@@ -141,17 +141,18 @@ class PathSets:
         is_unsure |= (missed[:, None] / self.samples) ** 2 / SETS / 3 > permitted[:, None]
         for half in (0, 1):
             cells = np.flatnonzero(is_unsure[:, 1 - half] & (self.further[:, half] == 0))
-            cells = cells[np.cumsum(self.samples[cells, half]) * _FURTHER <= most_paths]
-            if len(cells):
-                self._add_sets(cells, half, turn)
+            paths = np.cumsum(self.samples[cells, half]) * _FURTHER
+            cells, portion = cells[paths <= most_paths], paths[paths <= most_paths] // RAYS_AT_ONCE
+            for number in np.unique(portion).tolist():
+                self._add_sets(cells[portion == number], half, (DRAWS + turn, half, number))
         cells = np.flatnonzero((self.further > 0).all(axis=1))
         self.variance[cells] = self.by_all[cells].sum(axis=1) / 4
         self.cost_s += time.perf_counter() - start
 
-    def _add_sets(self, cells: NDArray[np.integer], half: int, turn: int) -> None:
+    def _add_sets(self, cells: NDArray[np.integer], half: int, key: tuple[int, ...]) -> None:
         samples = self.samples[cells, half]
-        first, shift, key = np.zeros_like(samples), self.shift + 1 + half, (DRAWS + turn, half)
-        rays = CellRays(cells, first, samples, _FURTHER, shift, key)
+        shift = self.shift + 1 + half  # other points than those of the first sets
+        rays = CellRays(cells, np.zeros_like(samples), samples, _FURTHER, shift, key)
         sums = np.add.reduceat(self._traced(rays), rays.set_starts).reshape(-1, _FURTHER)
         first_ones = self.sums[cells].reshape(-1, 2, SETS // 2)[:, half]
         means = np.concatenate([first_ones, sums], axis=1) / samples[:, None]
