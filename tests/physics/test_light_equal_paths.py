@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.camera import capture
 from twin.camera.light import render
-from twin.fidelity import Tolerance
+from twin.fidelity import PRESETS, Tolerance
 from twin.geometry import Geometry
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.system import System, load_system
@@ -97,3 +98,21 @@ def test_cells_at_edges_are_within_what_is_stated(system: System) -> None:
     every = np.concatenate(found)
     assert np.mean(every <= 1) >= 0.9
     assert every.max() < 4
+
+
+def test_errors_of_phases_are_of_all_their_light() -> None:
+    """Cells hold what all phases collect, half of the light each, and so do their errors: they were
+    one exposure's, half of it of 4 phases, a quarter of 8.
+    """
+    found = []
+    for frequencies_hz, steps in (([1e5], 4), ([1e5, 1.1e5], 4), ([1e5], 8)):
+        phases = {"modulation_hz": frequencies_hz, "phase_steps": steps, "contrast": 0.8}
+        system = GATES.with_({"time_of_flight": phases})
+        scene = rectangle(4.0, (-0.3, 0.4), (-0.2, 0.5))
+        taken = capture(scene, system, seed=1, fidelity=PRESETS["draft"])
+        lit = taken.cells_e > 0
+        found.append(np.sqrt(np.sum(taken.cells_error_e**2)) / np.sum(taken.cells_e[lit]))
+    np.testing.assert_allclose(found, found[0], rtol=1e-3)
+    plain = capture(scene, GATES.with_({"time_of_flight": None}), seed=1, fidelity=PRESETS["draft"])
+    own = np.sqrt(np.sum(plain.cells_error_e**2)) / np.sum(plain.cells_e)
+    assert found[0] == pytest.approx(own, rel=0.01)

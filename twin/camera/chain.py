@@ -169,7 +169,7 @@ class Chain:
         cells = self._through_shutters(rendered.light.cells, rendered.paths)
         air = rendered.backscatter
         backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
-        lit = watt * self._share_of_pulses(cells, rendered.paths)
+        lit = watt * self._share_collected(cells, rendered.paths)
         return Powers(
             cells_w=watt * cells,
             error_w=lit * rendered.light.error,
@@ -183,15 +183,18 @@ class Chain:
             sun_of_cells_w=self._sun_of_cells(rendered),
         )
 
-    def _share_of_pulses(self, cells: Array, paths: Paths | None) -> Array | float:
-        """Share of each cell's light that gates collect, all together and averaged over the
-        exposure, (n_detectors, n_cells); of light that is always on 1.
+    def _share_collected(self, cells: Array, paths: Paths | None) -> Array | float:
+        """Share of each cell's light that shutters collect, all together and averaged over the
+        exposure, (n_detectors, n_cells); of one that is always open 1. Where there is no light, of
+        phases their mean, of gates all of every pulse.
         """
-        if paths is None or self.shutters[0].light_share == 1:
+        if paths is None:
             return 1.0
-        light = paths.light().reshape(1, -1)
-        nothing = np.full_like(light, self.shutters[0].light_share)
-        return np.divide(cells.sum(axis=0), light, out=nothing, where=light > 0)
+        light, one = paths.light().reshape(1, -1), self.shutters[0]
+        is_phase = one.light_share == 1
+        nothing = sum(s.open_share for s in self.shutters) if is_phase else one.light_share
+        share = np.full_like(light, nothing)
+        return np.divide(cells.sum(axis=0), light, out=share, where=light > 0)
 
     def _sun_of_cells(self, rendered: "RenderedLight") -> Array | None:
         """Of a detector that follows the lit cell: sun from the cells that it sees with it."""
