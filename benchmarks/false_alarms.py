@@ -20,6 +20,7 @@ from hardware.radar.settings import Processing
 from hardware.records import QuaternionPose, RadarRecord
 from hardware.waveform import C_M_PER_S
 from twin.radar import load_radar
+from twin.radar.acquisition import leakage_echo
 from twin.radar.device.burst import burst_channel
 from twin.radar.device.design import RadarDesign
 from twin.radar.device.front_end import digitize
@@ -163,25 +164,11 @@ def record(
 
 def _echoes(radar: RadarDesign, targets: tuple[tuple[float, ...], ...]) -> Contributions:
     """Point targets by the radar equation, and the leakage, at every carrier step."""
-    carriers = radar.burst.carriers_hz
-    amplitude, delay, rates, ways = [], [], [], []
-    for range_m, rate, rcs, azimuth in targets:
-        power = radar.received_power_w(range_m, rcs) / radar.front_end.transmit_power_w.value
-        amplitude.append(np.sqrt(power))
-        delay.append(2 * range_m / C_M_PER_S)
-        rates.append(2 * rate / C_M_PER_S)
-        ways.append([np.cos(azimuth), np.sin(azimuth), 0.0])
-    if radar.leakage:
-        amplitude.append(10 ** (radar.leakage.level_db.value / 20))
-        delay.append(radar.leakage.delay_s.value)
-        rates.append(0.0)
-        ways.append([0.0, 0.0, 0.0])
-    way = np.array(ways).reshape(-1, 3)
-    return Contributions(
-        amplitude=np.tile(np.array(amplitude, dtype=np.complex128), (len(carriers), 1)),
-        delay_s=np.array(delay),
-        delay_rate=np.array(rates),
-        delay_acceleration_per_s=np.zeros(len(rates)),
-        departure=way,
-        arrival=way,
-    )
+    range_m, rate, _, azimuth_rad = np.array(targets).reshape(-1, 4).T
+    received_w = np.array([radar.received_power_w(target[0], target[2]) for target in targets])
+    amplitude = np.sqrt(received_w / radar.front_end.transmit_power_w.value).astype(np.complex128)
+    amplitude = np.tile(amplitude, (len(radar.burst.carriers_hz), 1))
+    ahead = Contributions.ahead(amplitude, 2 * range_m / C_M_PER_S, 2 * rate / C_M_PER_S)
+    way = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), 0 * azimuth_rad], axis=1)
+    echoes = replace(ahead, departure=way, arrival=way)
+    return Contributions.concatenate([echoes, leakage_echo(radar)])

@@ -272,7 +272,7 @@ def contributions(propagation: Propagation, radar: RadarDesign, air: Atmosphere)
     carrier leave of each, and the leakage.
     """
     return Contributions.concatenate(
-        [_stepped(propagation.contributions, radar, air), _of_leakage(radar)]
+        [_stepped(propagation.contributions, radar, air), leakage_echo(radar)]
     )
 
 
@@ -285,7 +285,7 @@ def channel(
     parts = [_stepped(instant.contributions, radar, air) for instant in propagation.instants]
     times = [instant.time_s for instant in propagation.instants]
     echoes = blended_channel(parts, times, partial(weights, times), radar.burst, tolerance)
-    leakage = _of_leakage(radar)
+    leakage = leakage_echo(radar)
     return echoes + burst_channel(leakage, radar.burst, tolerance) if len(leakage) else echoes
 
 
@@ -318,7 +318,8 @@ def _stepped(echoes: Contributions, radar: RadarDesign, air: Atmosphere) -> Cont
     return replace(echoes, amplitude=amplitude)
 
 
-def _of_leakage(radar: RadarDesign) -> Contributions:
+def leakage_echo(radar: RadarDesign) -> Contributions:
+    """What the antennas receive of their own signal, (steps, 0 or 1), as strong in every pair."""
     if radar.leakage is None:
         none = Contributions.none()
         return replace(none, amplitude=np.zeros((len(radar.burst.carriers_hz), 0), np.complex128))
