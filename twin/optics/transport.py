@@ -23,7 +23,7 @@ from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.ray_sets import Rays, RowRays
 from twin.optics.tracer import Tracer
-from twin.optics.unseen import edge_variance
+from twin.optics.unseen import missed_edge_variance
 
 Array = NDArray[np.float64]
 
@@ -36,8 +36,9 @@ class CellLight:
     """Light of each cell of a grid, (rows, columns), with its standard error.
 
     For the standard error see `variance_of_mean`: it is that of independent paths, with a share of
-    the cells around, and no less than edges may do (`edge_variance`). Paths are stratified, so that
-    on smooth surfaces the true one is smaller, by 30 times on a plane with 1024 paths.
+    the cells around, and no less than edges between paths may do (`missed_edge_variance`). Paths
+    are stratified, so that on smooth surfaces the true one is smaller, by 30 times on a plane with
+    1024 paths.
     """
 
     direct: Array
@@ -82,7 +83,7 @@ def gather(tracer: Tracer) -> CellLight:
     """
     quality = tracer.quality
     direct, error = _mean(tracer, quality.samples, lambda rays: tracer.direct(rays).value)
-    error = np.maximum(error, np.sqrt(edge_variance(direct, quality.samples)))
+    error = np.maximum(error, np.sqrt(missed_edge_variance(direct, quality.samples)))
     if tracer.scatters:
         scattered, further = _mean(
             tracer, quality.samples, lambda rays: tracer.scattered(rays).value

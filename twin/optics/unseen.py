@@ -73,3 +73,12 @@ def edge_variance(light: Array, paths: float) -> Array:
     the same, their own scatter does not show it.
     """
     return np.square(contrast(light).reshape(light.shape)) / (6 * paths**1.5)
+
+
+def missed_edge_variance(light: Array, paths: float) -> Array:
+    """The same where scatter among a cell's paths shows edges that any of them meets: of one that
+    all of them miss. Paths miss the area of A strata with the probability of e^-A at most, and it
+    has A / ``paths`` of the contrast: 4 / e^2 in the mean square, wherever the edge is.
+    """
+    missed = np.square(contrast(light).reshape(light.shape) * 2 / math.e / paths)
+    return np.minimum(missed, edge_variance(light, paths))
