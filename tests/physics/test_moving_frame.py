@@ -386,7 +386,7 @@ def test_cells_away_from_what_moves_keep_their_light(system: System) -> None:
     for number in range(5):
         problem = replace(whole, scene=looked.at(number))
         tracer = problem.from_emitter((SIDE, SIDE), TracingQuality(256, 1), 5)
-        light.append(path_moments(tracer.direct(RowRays(0, SIDE, 256)).value, 256)[0])
+        light.append(path_moments(tracer.direct(RowRays(0, SIDE, 256)).value, 256, 16)[0])
     changes = [np.any([light[i + j] != light[i] for j in (1, 2)], axis=0) for i in (0, 2)]
     assert all(change.sum() > 4 for change in changes)
     assert not any((change & ~allowed).any() for change, allowed in zip(changes, said, strict=True))

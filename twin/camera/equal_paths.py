@@ -9,12 +9,13 @@ from scipy.ndimage import gaussian_filter
 
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.fidelity import Start
+from twin.optics.devices import CellGrid
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
 from twin.optics.transport import CellLight, sunlight, transport
-from twin.optics.unseen import edge_variance
+from twin.optics.unseen import edge_variance, facet_light, missed_facet_variance
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -61,8 +62,10 @@ def emitter_light(
     start: Start = "auto",
 ) -> DetectorLight:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
+    facets = facet_light_of(problem, shape, n_detectors)
     if n_detectors == 1:
-        return of_bucket(transport(problem, shape, quality=quality, seed=seed))
+        light = of_bucket(transport(problem, shape, quality=quality, seed=seed))
+        return with_missed(light, facets.reshape(light.cells.shape), quality.samples)
     n_cells = shape[0] * shape[1]
     if start == "auto":
         start = "scatter" if n_detectors > n_cells else "dual"
@@ -78,7 +81,9 @@ def emitter_light(
         for part in range(LINE_PARTS)
     ]
     image = np.stack([_side_by_side(part, shape) for part in parts])
-    variance = _of_parts(image.mean(axis=0), image.var(axis=0, ddof=1), side**2 / ends)
+    mean, own = image.mean(axis=0), image.var(axis=0, ddof=1)
+    variance = _of_parts(mean, own, side**2 / ends)
+    variance += missed_facet_variance(facets, mean, LINE_PARTS * side**2 / ends)
     error = np.stack(np.hsplit(np.sqrt(variance), n_detectors)).reshape(parts[0].shape)
     return DetectorLight(np.mean(parts, axis=0), error)
 
@@ -95,6 +100,19 @@ def _of_parts(light: Array, own: Array, paths: float) -> Array:
     around = gaussian_filter(own, _WINDOW_CELLS, mode="nearest")
     variance = _OWN * own + (1 - _OWN) * around
     return np.maximum(variance, edge_variance(light, paths)) / LINE_PARTS
+
+
+def facet_light_of(problem: LightProblem, shape: tuple[int, int], n_detectors: int) -> Array:
+    """See `facet_light`."""
+    grid = CellGrid(problem.emitter, *shape)
+    corners = problem.corners() if problem.corners else (np.zeros((0, 3)), np.zeros(0))
+    return facet_light(grid, problem.detector, corners, n_detectors)
+
+
+def with_missed(light: DetectorLight, facets: Array, samples: int) -> DetectorLight:
+    """The same with the error by facets that all of a cell's paths may have missed."""
+    missed = missed_facet_variance(facets, light.cells, samples)
+    return replace(light, error=np.sqrt(light.error**2 + missed))
 
 
 def of_bucket(gathered: CellLight) -> DetectorLight:

@@ -15,7 +15,7 @@ from twin.camera.air import (
     lost_airlight_of,
     where_air_scatters,
 )
-from twin.camera.equal_paths import SUN_PARTS, unseen_sun
+from twin.camera.equal_paths import SUN_PARTS, facet_light_of, unseen_sun, with_missed
 from twin.camera.left_out import (
     bounces_share,
     lie_in_a_plane,
@@ -58,7 +58,8 @@ class UnitReflectanceLight:
     ``shares``: share of each cell that an object covers (times its texture, if it has one),
     (n_objects, rows, columns). ``cosines`` (rows, columns) of incidence in the middle of each cell;
     ``warnings``: uncertainties of the render that do not depend on reflectance; ``is_flat``:
-    whether all lies in one plane, so that light bounces once.
+    whether all lies in one plane, so that light bounces once; ``facet_light`` (1, n_cells): see
+    `twin.optics.unseen.facet_light`.
     """
 
     emitter_parts: LightByObject
@@ -74,6 +75,7 @@ class UnitReflectanceLight:
     warnings: tuple[CaptureWarning, ...]
     is_flat: bool
     sun_unseen: float
+    facet_light: Array
 
     def rescaled(self, scene: Scene) -> RenderedLight:
         """The result of `render` for the reflectances of a scene of the same objects."""
@@ -91,9 +93,13 @@ class UnitReflectanceLight:
         left_out = rounding_share(self.cosines).reshape(1, -1) + bounces
         cells, image = light.total.reshape(1, -1), light.total.reshape(self.cosines.shape)
         return RenderedLight(
-            light=DetectorLight(
-                cells + self.backscatter.light if self.backscatter else cells,
-                light.standard_error.reshape(1, -1),
+            light=replace(
+                with_missed(
+                    DetectorLight(cells, light.standard_error.reshape(1, -1)),
+                    reflectance.max(initial=0.0) * self.facet_light,
+                    self.emitter_parts.samples,
+                ),
+                cells=cells + self.backscatter.light if self.backscatter else cells,
                 left_out=np.multiply(left_out, cells, out=np.zeros_like(cells), where=cells > 0),
             ),
             sun=sun.total if self.airlight is None else sun.total + self.airlight,
@@ -150,6 +156,7 @@ def render_unit_reflectance(
         ),
         is_flat=lie_in_a_plane(item.vertices_m for item in scene.objects),
         sun_unseen=unseen_sun(problem, sun_parts, quality),
+        facet_light=facet_light_of(problem, shape, 1).reshape(1, -1),
     )
 
 

@@ -117,7 +117,7 @@ def gather_within(
         parts.append(PathSets(tracer, shifts[2], tracer.all_indirect, 1.0, 4.0, 2, 5))
     facets = np.zeros(tracer.start.size)
     if corners is not None and isinstance(tracer.light, DeviceLight):
-        facets = facet_light(tracer.start, tracer.light.device, corners())
+        facets = facet_light(tracer.start, tracer.light.device, corners()).ravel()
     unseen = 0.0
     if not any(part.mean.any() for part in parts):
         unseen = _draw_in_the_dark(parts, min(_IN_THE_DARK, in_the_dark), most_rays)

@@ -14,27 +14,40 @@ Array = NDArray[np.float64]
 _MISSED = 3.0
 
 
-def facet_light(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) -> Array:
+def facet_light(
+    grid: CellGrid, detector: Device, corners: tuple[Array, Array], columns: int = 1
+) -> Array:
     """Light that each cell would have if a facet filled it that has a corner in it or in a cell
-    around, (n_cells,): facing both devices, as near and as reflective as that corner. 0 where there
-    are no corners, and so no facets that paths could pass between.
+    around, (rows, columns): facing both devices, as near and as reflective as that corner. 0 where
+    there are no corners, and so no facets that paths could pass between.
 
-    ``corners``: positions (n, 3) and reflectances (n,) of the meshes' vertices.
+    ``corners``: positions (n, 3) and reflectances (n,) of the meshes' vertices. ``columns`` of the
+    detector, if it is a line sensor: the cells that each sees, side by side.
     """
-    emitter, light = grid.device, np.zeros((grid.rows, grid.columns))
+    emitter, shape = grid.device, (grid.rows, columns * grid.columns)
     if emitter.pitch_m is not None:
-        return np.full(grid.size, _of_elements(grid, detector, corners))
+        return np.full(shape, _of_elements(grid, detector, corners))
     vertices_m, reflectance = corners
-    ahead, left, up = emitter.axes @ (vertices_m - emitter.origin_m).T
-    reach = emitter.tan_half_field * ahead
-    inside = np.flatnonzero((np.abs(left) < reach) & (np.abs(up) < reach))
-    across, down = (((1 - x[inside] / reach[inside]) / 2) for x in (left, up))
-    cell = (down * grid.rows).astype(int) * grid.columns + (across * grid.columns).astype(int)
+    across, down = _places(emitter, vertices_m)
+    column, row = np.floor(across * grid.columns), np.floor(down * grid.rows)
+    if columns > 1:
+        column += grid.columns * np.floor(_places(detector, vertices_m)[0] * columns)
+    inside = np.flatnonzero(np.isfinite(column + row))
     distance2 = _squared_norms(vertices_m[inside] - detector.origin_m)
-    solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size
+    solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size / columns
     facing = solid_angle * reflectance[inside] / np.pi / np.maximum(distance2, 1e-12)
-    np.maximum.at(light.reshape(-1), np.minimum(cell, grid.size - 1), facing)
-    return np.asarray(maximum_filter(light, 3, mode="constant").ravel())
+    light, place = np.zeros(shape), (row[inside].astype(int), column[inside].astype(int))
+    np.maximum.at(light, place, facing)
+    return np.asarray(maximum_filter(light, 3, mode="constant"))
+
+
+def _places(device: Device, points_m: Array) -> Array:
+    """Of points across and down a device's field, each from 0 to 1, (2, n); NaN: not in it."""
+    ahead, left, up = device.axes @ (points_m - device.origin_m).T
+    reach = device.tan_half_field * ahead
+    inside = (np.abs(left) < reach) & (np.abs(up) < reach)
+    places = (1 - np.stack([left, up]) / np.where(inside, reach, 1.0)) / 2
+    return np.where(inside, places, np.nan)
 
 
 def _of_elements(grid: CellGrid, detector: Device, corners: tuple[Array, Array]) -> float:
@@ -82,3 +95,10 @@ def missed_edge_variance(light: Array, paths: float) -> Array:
     """
     missed = np.square(contrast(light).reshape(light.shape) * 2 / math.e / paths)
     return np.minimum(missed, edge_variance(light, paths))
+
+
+def missed_facet_variance(facets: Array, light: Array, paths: float) -> Array:
+    """Variance of cells' light by `facet_light` that would be brighter, and that all ``paths`` of a
+    cell may have missed: up to one path's share, any of which is as likely as any other.
+    """
+    return np.square(np.maximum(facets - light, 0) / paths) / 3
