@@ -213,7 +213,7 @@ def test_a_small_bright_facet_is_met_where_it_matters() -> None:
     for seed in range(10):
         tracer = problem.from_emitter((8, 8), TracingQuality(), seed)
         light = gather_within(
-            tracer, lambda cells: np.full_like(cells, limit), problem.corners
+            tracer, lambda cells: np.full_like(cells, limit), problem.facet_light((8, 8))
         ).light
         assert np.sqrt(np.mean((light.total - fine) ** 2)) < limit
         assert np.sqrt(np.mean(light.standard_error**2)) <= limit
@@ -243,7 +243,7 @@ def test_a_cell_that_is_bright_by_a_facet_alone_states_its_own_error() -> None:
     for seed in range(40):
         tracer = problem.from_emitter((16, 16), TracingQuality(), seed)
         light = gather_within(
-            tracer, lambda cells: np.full_like(cells, 0.0015 * exact), problem.corners
+            tracer, lambda cells: np.full_like(cells, 0.0015 * exact), problem.facet_light((16, 16))
         ).light
         cell = light.total.argmax()
         off.append((light.total.flat[cell] - exact) / light.standard_error.flat[cell] / 1.96)

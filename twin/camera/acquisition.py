@@ -257,10 +257,13 @@ def measure(
         scatter, of_motion = frame.sun_scatter, frame.warnings
     else:
         scatter, of_motion = frozen_error(scene, chain, rendered)
+    hides = bool(rendered.light.error.any())
     warnings = (
         *record_warnings,
         *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
-        *design_warnings(system, chain.lens, budget, float(sky.emitter.max()), scene_e, depth_m),
+        *design_warnings(
+            system, chain.lens, budget, float(sky.emitter.max()), scene_e, depth_m, hides=hides
+        ),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,
         *(CaptureWarning("tolerance", text) for text in missed_effects(decisions)),

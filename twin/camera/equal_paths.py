@@ -9,13 +9,12 @@ from scipy.ndimage import gaussian_filter
 
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.fidelity import Start
-from twin.optics.devices import CellGrid
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
 from twin.optics.transport import CellLight, sunlight, transport
-from twin.optics.unseen import edge_variance, facet_light, missed_facet_variance
+from twin.optics.unseen import edge_variance, missed_facet_variance
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -62,7 +61,7 @@ def emitter_light(
     start: Start = "auto",
 ) -> DetectorLight:
     """Transport from ``shape`` cells to one bucket, or to the columns of a line sensor."""
-    facets = facet_light_of(problem, shape, n_detectors)
+    facets = problem.facet_light(shape, n_detectors)
     if n_detectors == 1:
         light = of_bucket(transport(problem, shape, quality=quality, seed=seed))
         return with_missed(light, facets.reshape(light.cells.shape), quality.samples)
@@ -100,13 +99,6 @@ def _of_parts(light: Array, own: Array, paths: float) -> Array:
     around = gaussian_filter(own, _WINDOW_CELLS, mode="nearest")
     variance = _OWN * own + (1 - _OWN) * around
     return np.maximum(variance, edge_variance(light, paths)) / LINE_PARTS
-
-
-def facet_light_of(problem: LightProblem, shape: tuple[int, int], n_detectors: int) -> Array:
-    """See `facet_light`."""
-    grid = CellGrid(problem.emitter, *shape)
-    corners = problem.corners() if problem.corners else (np.zeros((0, 3)), np.zeros(0))
-    return facet_light(grid, problem.detector, corners, n_detectors)
 
 
 def with_missed(light: DetectorLight, facets: Array, samples: int) -> DetectorLight:

@@ -29,7 +29,7 @@ from twin.camera.left_out import (
     rounding_share,
     typical_reflectance,
 )
-from twin.camera.light_within import FIRST_SAMPLES, with_light_within, with_sun_within
+from twin.camera.light_within import with_light_within, with_sun_within
 from twin.camera.mounting import check_rig, light_problem, with_near_pupil
 from twin.camera.render_warnings import (
     forward_scattering_warnings,
@@ -164,10 +164,10 @@ def _uncertain(
     image = np.hstack(list(light.cells.reshape(len(light.cells), shape[0], -1)))
     samples, max_depth = float(fidelity.samples), float(fidelity.max_depth)
     by_chance = fidelity.has_light_tolerance and rendered.paths is None and len(light.cells) == 1
-    if by_chance:  # what paths miss is in the stated error
-        samples, max_depth = math.inf, fidelity.quality.most_bounces
-    elif fidelity.has_light_tolerance:
-        samples = FIRST_SAMPLES
+    if fidelity.has_light_tolerance:  # what paths miss is in the stated error
+        samples = math.inf
+    if by_chance:
+        max_depth = fidelity.quality.most_bounces
     scattering: list[CaptureWarning] = []
     if not fidelity.has_light_tolerance:  # else a decision tells of light that the air scatters
         nearest_m = float(truth.depth_m.min())

@@ -57,7 +57,7 @@ def with_light_within(
     found = gather_within(
         tracer,
         limit,
-        problem.corners,
+        problem.facet_light(system.image_shape),
         problem.largest_indirect(tracer),
         permitted_alike=limit_of_alike,
         ray_share=1 - _OF_SUN,

@@ -15,7 +15,7 @@ from twin.camera.air import (
     lost_airlight_of,
     where_air_scatters,
 )
-from twin.camera.equal_paths import SUN_PARTS, facet_light_of, unseen_sun, with_missed
+from twin.camera.equal_paths import SUN_PARTS, unseen_sun, with_missed
 from twin.camera.left_out import (
     bounces_share,
     lie_in_a_plane,
@@ -156,7 +156,7 @@ def render_unit_reflectance(
         ),
         is_flat=lie_in_a_plane(item.vertices_m for item in scene.objects),
         sun_unseen=unseen_sun(problem, sun_parts, quality),
-        facet_light=facet_light_of(problem, shape, 1).reshape(1, -1),
+        facet_light=problem.facet_light(shape).reshape(1, -1),
     )
 
 

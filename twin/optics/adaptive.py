@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from twin.optics.path_numbers import affordable_paths, further_rays, wanted_paths
 from twin.optics.path_sets import DRAWS, SETS, PathSets
-from twin.optics.paths import DeviceLight
 from twin.optics.tracer import Tracer
 from twin.optics.transport import CellLight
-from twin.optics.unseen import contrast, facet_light
+from twin.optics.unseen import contrast
 
 Array = NDArray[np.float64]
 
@@ -80,7 +79,7 @@ class LightWithin:
 def gather_within(
     tracer: Tracer,
     permitted: Callable[[Array], Array],
-    corners: Callable[[], tuple[Array, Array]] | None = None,
+    facets: Array | None = None,
     largest_indirect: float = math.inf,
     in_the_dark: float = math.inf,
     permitted_alike: Callable[[Array], Array] | None = None,
@@ -115,9 +114,7 @@ def gather_within(
     taken = over > LEFT_OUT
     if taken:
         parts.append(PathSets(tracer, shifts[2], tracer.all_indirect, 1.0, 4.0, 2, 5))
-    facets = np.zeros(tracer.start.size)
-    if corners is not None and isinstance(tracer.light, DeviceLight):
-        facets = facet_light(tracer.start, tracer.light.device, corners()).ravel()
+    facets = np.zeros(tracer.start.size) if facets is None else facets.ravel()
     unseen = 0.0
     if not any(part.mean.any() for part in parts):
         unseen = _draw_in_the_dark(parts, min(_IN_THE_DARK, in_the_dark), most_rays)

@@ -13,6 +13,7 @@ from twin.optics.devices import CellGrid, Device
 from twin.optics.interreflection import Body, indirect_bound
 from twin.optics.paths import DeviceLight, SunLight, TracingQuality
 from twin.optics.tracer import Tracer
+from twin.optics.unseen import facet_light
 from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
@@ -78,6 +79,22 @@ class LightProblem:
             return math.inf
         device = tracer.start.device
         return tracer.largest_weight * indirect_bound(self.bodies(), device, tracer.light)
+
+    def facet_light(self, shape: tuple[int, int], columns: int = 1) -> Array:
+        """Light that a facet which paths miss may bring to each cell of the emitter: see
+        `twin.optics.unseen.facet_light`; through the air, and 0 without corners.
+        """
+        grid = CellGrid(self.emitter, *shape)
+        if self.corners is None:
+            return np.zeros((grid.rows, columns * grid.columns))
+        corners_m, reflectance = self.corners()
+        if self.air:
+            ways_m = sum(
+                np.linalg.norm(corners_m - device.origin_m, axis=1)
+                for device in (self.emitter, self.detector)
+            )
+            reflectance = reflectance * np.exp(-self.air.extinction_per_m * ways_m)
+        return facet_light(grid, self.detector, (corners_m, reflectance), columns)
 
     @property
     def sun(self) -> SunLight:
