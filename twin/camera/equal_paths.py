@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.fidelity import Start
-from twin.optics.matrix import transport_matrix
+from twin.optics.matrix import matrix_moments
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
-from twin.optics.transport import CellLight, sunlight, transport
-from twin.optics.unseen import edge_variance, missed_facet_variance
+from twin.optics.transport import CellLight, sunlight, transport, variance_of_direct
+from twin.optics.unseen import missed_facet_variance
 from twin.system import System
 
 Array = NDArray[np.float64]
@@ -24,10 +23,6 @@ SUN_PARTS = 32
 SUNLIT = 10 / math.pi
 #: Number of paths that would meet what all of them miss in 5 of 100 cases.
 MISSED = 3.0
-#: Standard deviation of the window over which variances of a line sensor are taken together.
-_WINDOW_CELLS = 1.5
-#: Parts of a line sensor's paths, and share of a cell's own scatter in its variance.
-LINE_PARTS, _OWN = 4, 0.75
 
 
 def with_light(
@@ -69,36 +64,23 @@ def emitter_light(
     if start == "auto":
         start = "scatter" if n_detectors > n_cells else "dual"
     ends = n_cells if start == "scatter" else n_detectors
-    # As many paths per pair of cell and column as per cell of a bucket detector, in parts whose
-    # differences give the error.
-    side = math.ceil(math.sqrt(quality.samples * ends / LINE_PARTS))
+    # As many paths per pair of cell and column as per cell of a bucket detector.
+    side = math.ceil(math.sqrt(quality.samples * ends))
     quality = replace(quality, samples=side * side)
-    parts = [
-        transport_matrix(
-            problem, shape, (1, n_detectors), quality=quality, seed=seed + part, start=start
-        )
-        for part in range(LINE_PARTS)
-    ]
-    image = np.stack([_side_by_side(part, shape) for part in parts])
-    mean, own = image.mean(axis=0), image.var(axis=0, ddof=1)
-    variance = _of_parts(mean, own, side**2 / ends)
-    variance += missed_facet_variance(facets, mean, LINE_PARTS * side**2 / ends)
-    error = np.stack(np.hsplit(np.sqrt(variance), n_detectors)).reshape(parts[0].shape)
-    return DetectorLight(np.mean(parts, axis=0), error)
+    mean, scatter = matrix_moments(
+        problem, shape, (1, n_detectors), quality=quality, seed=seed, start=start
+    )
+    paths, image = side * side / ends, _side_by_side(mean, shape)
+    # Each pixel has a share of all paths, so that it is as one of few that all arrive.
+    variance = variance_of_direct(image, _side_by_side(scatter, shape) / ends, paths)
+    variance += missed_facet_variance(facets, image, paths)
+    error = np.stack(np.hsplit(np.sqrt(variance), n_detectors)).reshape(mean.shape)
+    return DetectorLight(mean, error)
 
 
 def _side_by_side(values: Array, shape: tuple[int, int]) -> Array:
     """The image of all columns, from (n_detectors, n_cells)."""
-    return np.hstack(list(values.reshape(len(values), *shape)))
-
-
-def _of_parts(light: Array, own: Array, paths: float) -> Array:
-    """Variance of the mean of parts of so many paths of a cell, whose variance is ``own``: a share
-    of it that of the cells around, since few parts hardly know it; at least what edges may do.
-    """
-    around = gaussian_filter(own, _WINDOW_CELLS, mode="nearest")
-    variance = _OWN * own + (1 - _OWN) * around
-    return np.maximum(variance, edge_variance(light, paths)) / LINE_PARTS
+    return np.hstack(list(values.reshape(-1, *shape)))
 
 
 def with_missed(light: DetectorLight, facets: Array, samples: int) -> DetectorLight:

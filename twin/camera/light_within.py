@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.camera.chain import Chain
-from twin.camera.equal_paths import LINE_PARTS, MISSED, SUNLIT, of_bucket, sun_shape, with_light
+from twin.camera.equal_paths import MISSED, SUNLIT, of_bucket, sun_shape, with_light
 from twin.camera.permitted_error import SUN_SHARE, PermittedError
 from twin.camera.render_warnings import sun_warnings, tolerance_warnings
 from twin.camera.rendered import RenderedLight
@@ -22,8 +22,6 @@ INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its sho
 #: Paths of a cell where all cells have the same number: to begin with, and at most with the usual
 #: number of rays.
 FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
-#: Of a line sensor: what the error may be over the permitted one, where as many paths again follow.
-_ENOUGH = 1.3
 #: Of all rays, those for the sun's light.
 _OF_SUN = 0.25
 
@@ -37,8 +35,7 @@ def with_light_within(
     seed: int,
 ) -> RenderedLight:
     """The same with the emitter's light. Of one detector without time of flight each cell has as
-    many paths as it needs; else all have the same number, until their error is small enough, and
-    those of a line sensor as many again.
+    many paths as it needs; else all have the same number, until their error is small enough.
     """
     system = chain.system
     if system.n_detectors > 1 or system.time_of_flight:
@@ -107,18 +104,12 @@ def _equally(
     seed: int,
 ) -> RenderedLight:
     system, samples, taken = chain.system, FIRST_SAMPLES, True
-    is_line = system.n_detectors > 1
     most = _most_samples(rendered, quality)
     largest = problem.largest_indirect(problem.from_emitter(system.image_shape, quality, seed))
     while True:
         quality = replace(quality, samples=samples, indirect_samples=None)
         lit = with_light(rendered, problem, system, quality, seed, fidelity.start)
         over, permitted = _over(lit, chain, fidelity)
-        if is_line and (over <= _ENOUGH or samples >= most):
-            further = seed + LINE_PARTS
-            again = with_light(rendered, problem, system, quality, further, fidelity.start)
-            lit = _with_as_many_again(lit, again)
-            over, permitted = _over(lit, chain, fidelity)
         indirect = largest * _rms(1 / permitted.of_alike(lit.light.cells))
         taken = taken and not system.optics.is_scanned
         if over <= 1 or samples >= most:
@@ -139,22 +130,11 @@ def _over(lit: RenderedLight, chain: Chain, fidelity: Fidelity) -> tuple[float, 
     return _rms(lit.light.error / permitted.of(lit.light.cells)), permitted
 
 
-def _with_as_many_again(lit: RenderedLight, again: RenderedLight) -> RenderedLight:
-    """The mean of both, with the larger error of either over the root of 2: those of the first
-    alone are too small, since paths were added until they happened to be small enough.
-    """
-    light, other = lit.light, again.light
-    error = np.maximum(light.error, other.error) / math.sqrt(2)
-    return replace(lit, light=replace(light, cells=(light.cells + other.cells) / 2, error=error))
-
-
 def _most_samples(rendered: RenderedLight, quality: TracingQuality) -> int:
     """Paths of each cell at most, a square number: each cell of each detector has as many, and all
-    of them as many bounces; those of a line sensor are traced twice.
+    of them as many bounces.
     """
     rays = (1 - _OF_SUN) * quality.rays / rendered.light.cells.size / quality.max_depth
-    if len(rendered.light.cells) > 1:
-        rays /= 2
     most = min(_MOST_SAMPLES * max(1.0, quality.rays / RAYS), rays)
     return max(math.isqrt(int(most)) ** 2, FIRST_SAMPLES)
 

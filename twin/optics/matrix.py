@@ -17,6 +17,7 @@ from twin.errors import InputError
 from twin.optics.devices import CellGrid
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
+from twin.optics.ray_sets import pairs_of_strata, strata, strata_beside
 from twin.optics.tracer import Block, Tracer
 
 Array = NDArray[np.float64]
@@ -40,39 +41,76 @@ def transport_matrix(
 
     Raises InputError for an unknown ``start``, and for *scatter* towards elements without a lens.
     """
+    return matrix_moments(problem, cells, pixels, quality=quality, seed=seed, start=start)[0]
+
+
+def matrix_moments(
+    problem: LightProblem,
+    cells: tuple[int, int],
+    pixels: tuple[int, int],
+    *,
+    quality: TracingQuality,
+    seed: int,
+    start: Start = "dual",
+) -> tuple[Array, Array]:
+    """The same and the scatter of its paths, as `twin.optics.transport.path_moments` has it: over
+    the number of paths, `TracingQuality.samples`, it is the variance of T.
+    """
     if start not in get_args(Start):
         raise InputError(f"start: {start!r} is none of dual, scatter")
     if start == "dual":
         tracer = problem.from_emitter(cells, quality, seed)
-        return _matrix(tracer, CellGrid(problem.detector, *pixels)).T
+        mean, scatter = _matrix(tracer, CellGrid(problem.detector, *pixels))
+        return mean.T, scatter.T
     if problem.emitter.pitch_m is not None:
         raise InputError("start: scatter needs an emitter behind a lens; use dual")
     tracer = problem.from_detector(pixels, quality, seed)
     return _matrix(tracer, CellGrid(problem.emitter, *cells))
 
 
-def _matrix(tracer: Tracer, other: CellGrid) -> Array:
+def _matrix(tracer: Tracer, other: CellGrid) -> tuple[Array, Array]:
     """From every cell that paths start in (rows) to every cell of the device they connect to."""
-    blocks = tracer.blocks(tracer.quality.samples)
-    return np.concatenate([_rows(tracer, other, block) for block in blocks])
+    blocks = [_rows(tracer, other, block) for block in tracer.blocks(tracer.quality.samples)]
+    mean, scatter = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return mean, scatter
 
 
-def _rows(tracer: Tracer, other: CellGrid, block: Block) -> Array:
-    """Rows of the matrix for the cells of one block."""
+def _rows(tracer: Tracer, other: CellGrid, block: Block) -> tuple[Array, Array]:
+    """Rows of the matrix for the cells of one block, and the scatter of their paths."""
     mi, samples = mitsuba(), tracer.quality.samples
     n_cells = (block[1] - block[0]) * tracer.start.columns
-    from_cell = dr.arange(mi.UInt32, n_cells * samples) // dr.opaque(mi.UInt32, samples)
-    sums = np.zeros(n_cells * other.size)
+    first = dr.arange(mi.UInt32, n_cells * samples) // dr.opaque(mi.UInt32, samples) * other.size
+    wide, _ = strata(samples, tracer.start.rows / tracer.start.columns)
+    sums, squares = np.zeros((2, n_cells * other.size))
     for bounce in tracer.bounces(block):
         cells = [_cell(other, left, up) for _, left, up in bounce.places]
         parts = [
-            (bounce.value * fill if share is None else bounce.value * share * fill, cell)
+            (bounce.value * fill if share is None else bounce.value * share * fill, first + cell)
             for (share, _, _), (cell, fill) in zip(bounce.places, cells, strict=True)
         ]
         dr.eval(parts)
-        for part, cell in parts:
-            sums += _summed_by_cell(part, from_cell * other.size + cell, sums.size)
-    return sums.reshape(n_cells, other.size) / samples
+        for value, where in parts:
+            sums += _summed_by_cell(value, where, sums.size)
+            # Parts of one path may all err alike.
+            squares += len(parts) * _squared_differences(value, where, squares.size, samples, wide)
+    mean = sums.reshape(n_cells, other.size) / samples
+    return mean, squares.reshape(mean.shape) / (2 * pairs_of_strata(samples, wide))
+
+
+def _squared_differences(value: Any, where: Any, size: int, samples: int, wide: int) -> Array:
+    """Of paths of strata side by side, by where their light arrives: one that arrives elsewhere
+    brings none there.
+    """
+    mi, total = mitsuba(), np.zeros(size)
+    value = mi.Float64(value)  # squares of weak light are too small for 24 bits
+    for there, is_beside in strata_beside(dr.width(value), samples, wide):
+        light = dr.gather(mi.Float64, value, there, is_beside)
+        place = dr.gather(mi.UInt32, where, there, is_beside)
+        is_same = place == where
+        own = dr.select(is_same, value - light, value)
+        total += _summed_by_cell(dr.select(is_beside, own * own, 0), where, size)
+        total += _summed_by_cell(dr.select(is_beside & ~is_same, light * light, 0), place, size)
+    return total
 
 
 def _summed_by_cell(value: Any, where: Any, size: int) -> Array:

@@ -1,5 +1,6 @@
 """How many rays start in which cells of a grid, and in which of their strata."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -172,3 +173,19 @@ def strata(samples: int, aspect: float) -> tuple[int, int]:
     factors = [n for n in range(1, samples + 1) if samples % n == 0]
     across = min(factors, key=lambda n: abs(np.log(n * n / samples / aspect)))
     return across, samples // across
+
+
+def strata_beside(count: int, samples: int, wide: int) -> Iterator[tuple[Any, Any]]:
+    """Of each of ``count`` rays the ray of the stratum to its right, and of that below, and whether
+    there is one in its cell; cells have ``samples`` rays each, ``wide`` in a row.
+    """
+    mi = mitsuba()
+    ray = dr.arange(mi.UInt32, count)
+    for step, borders in ((1, wide), (wide, samples)):
+        step, borders = dr.opaque(mi.UInt32, step), dr.opaque(mi.UInt32, borders)
+        yield ray + step, ray % borders + step < borders
+
+
+def pairs_of_strata(samples: int, wide: int) -> int:
+    """Number of pairs of strata side by side in a cell, 1 where there are none."""
+    return max(2 * samples - wide - samples // wide, 1)

@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 from twin.engine import mitsuba
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
-from twin.optics.ray_sets import Rays, RowRays, strata
+from twin.optics.ray_sets import Rays, RowRays, pairs_of_strata, strata, strata_beside
 from twin.optics.tracer import Tracer
 from twin.optics.unseen import missed_edge_variance
 
@@ -106,12 +106,12 @@ def _moments(tracer: Tracer, samples: int, trace: Callable[[Rays], Any]) -> tupl
     return mean, scatter
 
 
-def variance_of_direct(mean: Array, scatter: Array, samples: int) -> Array:
+def variance_of_direct(mean: Array, scatter: Array, samples: float) -> Array:
     """Variance of each cell's mean of direct light, (rows, columns): no less than edges may do."""
     return np.maximum(variance_of_mean(scatter, samples), missed_edge_variance(mean, samples))
 
 
-def variance_of_mean(scatter: Array, samples: int) -> Array:
+def variance_of_mean(scatter: Array, samples: float) -> Array:
     """Variance of each cell's mean, (rows, columns), from the scatter of its paths.
 
     A cell whose paths all miss an edge or a rare bright bounce has too small a variance of its own,
@@ -134,13 +134,9 @@ def path_moments(value: Any, samples: int, wide: int) -> tuple[Array, Array]:
     mi = mitsuba()
     value = mi.Float64(value)
     dr.eval(value)
-    place = dr.arange(mi.UInt32, dr.width(value))
     squares = mi.Float64(0)
-    for step, borders in ((1, wide), (wide, samples)):
-        step, borders = dr.opaque(mi.UInt32, step), dr.opaque(mi.UInt32, borders)
-        is_beside = place % borders + step < borders
-        difference = dr.gather(mi.Float64, value, place + step, is_beside) - value
+    for there, is_beside in strata_beside(dr.width(value), samples, wide):
+        difference = dr.gather(mi.Float64, value, there, is_beside) - value
         squares += dr.select(is_beside, difference * difference, 0)
     sums = [np.array(dr.block_reduce(dr.ReduceOp.Add, x, samples)) for x in (value, squares)]
-    pairs = 2 * samples - wide - samples // wide
-    return sums[0] / samples, sums[1] / (2 * max(pairs, 1))
+    return sums[0] / samples, sums[1] / (2 * pairs_of_strata(samples, wide))

@@ -79,22 +79,16 @@ def contrast(light: Array) -> Array:
     return np.asarray((brightest - darkest).ravel())
 
 
-def edge_variance(light: Array, paths: float) -> Array:
-    """Variance of cells' light, (rows, columns), by edges: whether a path sees what is before or
-    behind an edge in its stratum is chance, and of the ``paths`` of a cell a square root's number
-    have one there, if its light differs from that of cells around. Where these few paths all see
-    the same, their own scatter does not show it.
-    """
-    return np.square(contrast(light).reshape(light.shape)) / (6 * paths**1.5)
-
-
 def missed_edge_variance(light: Array, paths: float) -> Array:
-    """The same where scatter among a cell's paths shows edges that any of them meets: of one that
-    all of them miss. Paths miss the area of A strata with the probability of e^-A at most, and it
-    has A / ``paths`` of the contrast: 4 / e^2 in the mean square, wherever the edge is.
+    """Variance of cells' light, (rows, columns), by edges that all ``paths`` of a cell miss: the
+    scatter of those that meet one shows it.
+
+    Paths miss the area of A strata with the probability of e^-A at most, and it has A / ``paths``
+    of the contrast: 4 / e^2 in the mean square, wherever the edge is; of few paths, of which a
+    square root's number are in strata with an edge, no more than what that brings to their mean.
     """
-    missed = np.square(contrast(light).reshape(light.shape) * 2 / math.e / paths)
-    return np.minimum(missed, edge_variance(light, paths))
+    missed = np.minimum((2 / math.e / paths) ** 2, 1 / (6 * paths**1.5))
+    return np.square(contrast(light).reshape(light.shape)) * missed
 
 
 def missed_facet_variance(facets: Array, light: Array, paths: float) -> Array:
