@@ -10,7 +10,7 @@ import pytest
 
 from twin.camera import capture
 from twin.camera.light import render
-from twin.fidelity import PRESETS, Tolerance
+from twin.fidelity import PRESETS, Fidelity, Tolerance
 from twin.geometry import Geometry
 from twin.scene import Pose, Rig, Scene, SceneObject, Sun
 from twin.system import System, load_system
@@ -33,6 +33,8 @@ GATES = load_system("workable").with_(
         },
     }
 )
+PLAIN = GATES.with_({"time_of_flight": None})
+DEFAULT, DRAFT = Tolerance().knobs(), PRESETS["draft"]
 Span = tuple[float, float]
 
 
@@ -59,13 +61,18 @@ def exact(distance_m: float, across_m: Span, up_m: Span) -> np.ndarray:
     return found
 
 
-def ratios(system: System, place: tuple[float, Span, Span], seed: int) -> np.ndarray:
+def ratios(
+    system: System,
+    place: tuple[float, Span, Span],
+    seed: int,
+    fidelity: Fidelity = DEFAULT,
+) -> np.ndarray:
     """Error of each lit cell over 1.96 standard errors."""
     true = exact(*place)
     light = render(
         rectangle(*place),
         system,
-        fidelity=Tolerance().knobs(),
+        fidelity=fidelity,
         seed=np.random.SeedSequence(seed),
     ).light
     cells, error = (np.hstack(list(x.reshape(len(x), 8, -1))) for x in (light.cells, light.error))
@@ -74,19 +81,20 @@ def ratios(system: System, place: tuple[float, Span, Span], seed: int) -> np.nda
 
 
 def test_a_line_sensor_states_what_edges_do() -> None:
-    """A bar 2.65 m away over a part of one row: of 40 runs 85 % of the cells, and none beyond three
-    times. Of two halves of paths, few of which meet an edge, both often see the same: 43 % of the
-    cells were within, and one that is lit had no light, 2492 times what was stated.
+    """A bar 2.65 m away over a part of one row: of 40 runs 92 % of the cells, none beyond twice. Of
+    two halves of paths, few of which meet an edge, both often see the same: 43 % of the cells
+    were within, and one that is lit had no light, 2492 times what was stated.
     """
     bar = (2.6517427, (-0.14038072, 0.22793607), (-0.11053665, -0.05691752))
     found = np.concatenate([ratios(LINE, bar, seed) for seed in range(40)])
-    assert np.mean(found <= 1) >= 0.85
-    assert found.max() < 3
+    assert np.mean(found <= 1) >= 0.92
+    assert found.max() < 2
 
 
-@pytest.mark.parametrize("system", [LINE, GATES], ids=["line sensor", "gates"])
-def test_cells_at_edges_are_within_what_is_stated(system: System) -> None:
-    """Of 20 rectangles, 0.3 to 1.8 m wide: 90 % of the cells, none beyond four times. It was 81 %
+@pytest.mark.parametrize("system", [LINE, GATES, PLAIN], ids=["line sensor", "gates", "bucket"])
+@pytest.mark.parametrize("fidelity", [DEFAULT, DRAFT], ids=["tolerance", "draft"])
+def test_cells_at_edges_are_within_what_is_stated(system: System, fidelity: Fidelity) -> None:
+    """Of 20 rectangles, 0.3 to 1.8 m wide: 93 % of the cells, none beyond three times. It was 81 %
     of the line sensor's, 345 times at worst, and with gates cells that are lit had no light.
     """
     rng, found = np.random.default_rng(55300), []
@@ -94,10 +102,34 @@ def test_cells_at_edges_are_within_what_is_stated(system: System) -> None:
         distance_m = float(rng.uniform(2, 5))
         across_m, up_m = np.sort(rng.uniform(-TAN, TAN, (2, 2)) * distance_m)
         place = (distance_m, tuple(across_m.tolist()), tuple(up_m.tolist()))
-        found.append(ratios(system, place, seed))
+        found.append(ratios(system, place, seed, fidelity))
     every = np.concatenate(found)
-    assert np.mean(every <= 1) >= 0.9
-    assert every.max() < 4
+    assert np.mean(every <= 1) >= 0.93
+    assert every.max() < 3
+
+
+@pytest.mark.parametrize("system", [LINE, GATES], ids=["line sensor", "gates"])
+@pytest.mark.parametrize("half_m", [0.0225, 0.005])
+def test_what_all_paths_miss_is_stated(system: System, half_m: float) -> None:
+    """A square of 45 or 10 mm 2 m away, in cells of 88 mm: where its cell has no light, as much is
+    stated. By default none is missed: a quarter of the captures were void of a scene that `reflects
+    none`, and none was stated. Of few paths a void says so.
+    """
+    place = (2.0, (0.0437 - half_m, 0.0437 + half_m), (-0.0421 - half_m, -0.0421 + half_m))
+    bright = system.with_({"emitter.radiant_intensity_w_per_sr": 50.0})
+    for fidelity, least in ((DEFAULT, 0.9), (DRAFT, 0.75)):
+        found = np.concatenate([ratios(bright, place, seed, fidelity) for seed in range(20)])
+        assert np.mean(found <= 1) >= least
+        assert found.max() < 2
+    scene = rectangle(*place)
+    taken, by_default = (
+        [capture(scene, bright, seed=seed, fidelity=fidelity) for seed in range(20)]
+        for fidelity in (DRAFT, DEFAULT)
+    )
+    told = {str(one.verdict) for one in taken if one.void}
+    assert told
+    assert all("too small for so few paths" in text for text in told)
+    assert not any(one.void or not one.cells_e.any() for one in by_default)
 
 
 def test_errors_of_phases_are_of_all_their_light() -> None:

@@ -19,9 +19,9 @@ from twin.optics.problem import LightProblem
 Array = NDArray[np.float64]
 #: Effects that a decision is about.
 INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its shot noise"
-#: Paths of a cell where all cells have the same number: to begin with, and at most with the usual
-#: number of rays.
-FIRST_SAMPLES, _MOST_SAMPLES = 4, 1024
+#: Paths of a cell where all cells have the same number, to begin with; and of all cells together,
+#: times their bounces, at most with the usual number of rays: 134 MB with time of flight.
+_FIRST_SAMPLES, _MOST_PATHS = 4, 2**24
 #: Of all rays, those for the sun's light.
 _OF_SUN = 0.25
 
@@ -103,7 +103,7 @@ def _equally(
     quality: TracingQuality,
     seed: int,
 ) -> RenderedLight:
-    system, samples, taken = chain.system, FIRST_SAMPLES, True
+    system, samples, taken = chain.system, _FIRST_SAMPLES, True
     most = _most_samples(rendered, quality)
     largest = problem.largest_indirect(problem.from_emitter(system.image_shape, quality, seed))
     while True:
@@ -134,9 +134,9 @@ def _most_samples(rendered: RenderedLight, quality: TracingQuality) -> int:
     """Paths of each cell at most, a square number: each cell of each detector has as many, and all
     of them as many bounces.
     """
-    rays = (1 - _OF_SUN) * quality.rays / rendered.light.cells.size / quality.max_depth
-    most = min(_MOST_SAMPLES * max(1.0, quality.rays / RAYS), rays)
-    return max(math.isqrt(int(most)) ** 2, FIRST_SAMPLES)
+    paths = min((1 - _OF_SUN) * quality.rays, _MOST_PATHS * max(1.0, quality.rays / RAYS))
+    most = paths / rendered.light.cells.size / quality.max_depth
+    return max(math.isqrt(int(most)) ** 2, _FIRST_SAMPLES)
 
 
 def with_sun_within(

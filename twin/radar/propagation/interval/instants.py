@@ -26,6 +26,7 @@ from twin.accuracy import Decision
 from twin.fidelity import Fidelity
 from twin.radar.device.design import RadarDesign
 from twin.radar.propagation.decisions import UNIT
+from twin.radar.propagation.elements_aside import with_elements_aside
 from twin.radar.propagation.facets.convergence import percent, reference_levels
 from twin.radar.propagation.interval.bounds import OVER_ANGLE, Change, largest_change, times_within
 from twin.radar.propagation.interval.one_instant import checked
@@ -54,11 +55,25 @@ def traced_interval(
     *,
     keep: bool = False,
 ) -> Propagation:
-    """Echoes of a burst whose middle is the scene's present, to ``radar_motion_tolerance``.
+    """Echoes of a burst whose middle is the scene's present, to ``radar_motion_tolerance``, with
+    what antennas aside see otherwise in the stated errors.
 
     Parameters as of `trace`. Where one instant is enough, that is what it gives, bit for bit.
     Raises InputError as `trace` does.
     """
+    found = _traced(scene, radar, fidelity, seed, earlier, keep=keep)
+    return with_elements_aside(scene, radar, fidelity, seed, found)
+
+
+def _traced(
+    scene: Scene,
+    radar: RadarDesign,
+    fidelity: Fidelity,
+    seed: int,
+    earlier: Propagation | None,
+    *,
+    keep: bool,
+) -> Propagation:
     half_s = radar.burst_s / 2
     times = times_within(scene, half_s * np.linspace(-1, 1, _SAMPLES))
     worst = largest_change(scene, radar, times)
