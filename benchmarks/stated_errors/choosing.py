@@ -17,7 +17,7 @@ _DECIDING = (
     ("twin.optics.adaptive", "affordable_paths"),
     ("twin.optics.adaptive", "_by_other_halves"),
     ("twin.optics.adaptive", "_variances"),
-    ("twin.optics.adaptive", "facet_light"),
+    ("twin.optics.problem", "facet_light"),
 )
 
 

@@ -19,9 +19,9 @@ from twin.optics.problem import LightProblem
 Array = NDArray[np.float64]
 #: Effects that a decision is about.
 INDIRECT, SUN_INDIRECT = "indirect light", "the sun's indirect light, by its shot noise"
-#: Paths of a cell where all cells have the same number, to begin with; and of all cells together,
-#: times their bounces, at most with the usual number of rays: 134 MB with time of flight.
-_FIRST_SAMPLES, _MOST_PATHS = 4, 2**24
+#: Paths of a cell where all cells have the same number: to begin with, and at most with the usual
+#: number of rays, unless all cells together have fewer than so many, times their bounces.
+_FIRST_SAMPLES, _MOST_SAMPLES, _FEW_PATHS = 4, 1024, 2**22
 #: Of all rays, those for the sun's light.
 _OF_SUN = 0.25
 
@@ -134,8 +134,9 @@ def _most_samples(rendered: RenderedLight, quality: TracingQuality) -> int:
     """Paths of each cell at most, a square number: each cell of each detector has as many, and all
     of them as many bounces.
     """
-    paths = min((1 - _OF_SUN) * quality.rays, _MOST_PATHS * max(1.0, quality.rays / RAYS))
-    most = paths / rendered.light.cells.size / quality.max_depth
+    per_cell = 1 / rendered.light.cells.size / quality.max_depth
+    usual = max(_MOST_SAMPLES, _FEW_PATHS * per_cell) * max(1.0, quality.rays / RAYS)
+    most = min((1 - _OF_SUN) * quality.rays * per_cell, usual)
     return max(math.isqrt(int(most)) ** 2, _FIRST_SAMPLES)
 
 
