@@ -198,7 +198,8 @@ def test_a_wire_across_the_field_is_met() -> None:
     limit = np.sqrt(np.mean(fine**2)) / 10
     for seed in range(10):
         tracer = case.from_emitter((16, 16), TracingQuality(), seed)
-        light = gather_within(tracer, lambda cells: np.full_like(cells, limit), case.corners).light
+        facets = case.facet_light((16, 16))
+        light = gather_within(tracer, lambda cells: np.full_like(cells, limit), facets).light
         assert np.sqrt(np.mean((light.total - fine) ** 2)) < limit
 
 

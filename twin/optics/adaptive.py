@@ -99,8 +99,8 @@ def gather_within(
 
     The standard error is from the scatter of independent sets of paths, half of it that of the
     cells around; with what all paths of a cell may miss: one path's share of the contrast to the
-    cells around and, with ``corners`` as `LightProblem` has them, of the brightest facet that may
-    be there; and for indirect light what is as bright as the brightest path of all, but rare.
+    cells around and of ``facets``, what a facet may bring (`LightProblem.facet_light`); and for
+    indirect light what is as bright as the brightest path of all, but rare.
     """
     shape, alike = (tracer.start.rows, tracer.start.columns), permitted_alike or permitted
     shifts = [int(n) for n in np.random.SeedSequence([tracer.seed, DRAWS]).generate_state(3)]
