@@ -7,13 +7,15 @@ import pytest
 from scipy.constants import speed_of_light
 
 from tests.physics.radar_worlds import RADAR, quad, world
+from twin.errors import InputError
 from twin.fidelity import PRESETS, Fidelity, Tolerance
-from twin.radar import RadarDesign
+from twin.radar import RadarDesign, radar_capture
 from twin.radar.propagation.interval.instants import traced_interval
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import trace
 from twin.radar.synthesis.wavefronts import nearer_m
-from twin.scene import Pose, Scene
+from twin.scene import Pose, Rig, Scene
+from twin.scene.objects import Target
 
 K = 2 * np.pi * RADAR.ofdm.carrier_hz / speed_of_light
 ALONE = {"radar_edges": 0, "radar_images": 0, "radar_shadowed": 0, "radar_bounces": 1}
@@ -129,3 +131,46 @@ def wave_of(found: Propagation, name: str, element_m: tuple[float, float, float]
     is_own = echoes.object == found.objects.index(name)
     length_m = speed_of_light * echoes.delay_s - nearer_m(echoes, place, place)
     return complex(np.sum((echoes.amplitude * np.exp(-1j * K * length_m))[is_own]))
+
+
+@pytest.mark.parametrize("place_m", [(0.0, 0.02, 0.0), (0.01, -0.3, 0.2)])
+@pytest.mark.parametrize("target_m", [(1.0, 0.5, 0.0), (0.6, -0.2, 0.3), (30.0, -5.0, 2.0)])
+def test_each_antenna_has_its_own_gain_and_distance(
+    place_m: tuple[float, float, float], target_m: tuple[float, float, float]
+) -> None:
+    """By the radar equation at its own place: 2 cm aside, 1.1 m from a target, 7 % were missing."""
+    fields = {"transmitters_m": [place_m], "receivers_m": [place_m]}
+    radar = RADAR.with_({"elements": fields, "antenna.gain_dbi": 15.0})
+    scene = world(targets=(Target("point", target_m, (0.0, 0.0, 0.0), 1.0, "test"),))
+    found = trace(scene, radar, fidelity=Fidelity(radar="targets"))
+    (amplitude,) = np.abs(radar.burst.seen(found.contributions).amplitude)
+    away = np.array(target_m) - place_m
+    distance_m = float(np.linalg.norm(away))
+    power_w = radar.received_power_w(distance_m, 1.0, tuple(away / distance_m))
+    sent_w = radar.front_end.transmit_power_w.value
+    assert amplitude == pytest.approx(np.sqrt(power_w / sent_w), rel=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_whichever_of_the_farthest_comes_first_both_ends_are_compared(order: int) -> None:
+    """Of a row only one end was, so that what the other sees past a strip was not stated."""
+    places = ((5, 0.0, 0.03), (8, 0.06, 0.05))
+    strips = [quad(f"{x} m", strip(x, y, half_m)) for x, y, half_m in places]
+    ends_m = [[0.0, y, 0.0] for y in (0.05 * order, -0.05 * order)]
+    fields = {"transmitters_m": [[0.0, 0.0, 0.0]], "receivers_m": ends_m}
+    radar, knobs = RADAR.with_({"elements": fields}), PRESETS["standard"].with_(**ALONE)
+    stated = [b.estimated_error for b in traced_interval(world(*strips), radar, knobs, 0).bodies]
+    one = traced_interval(world(*strips), with_receiver(0.05), knobs, 0).bodies
+    assert all(both >= alone.estimated_error for both, alone in zip(stated, one, strict=True))
+    assert max(stated) > 0.5
+
+
+@pytest.mark.parametrize("place", [[float("nan"), 0, 0], [0, 11.0, 0], [0, 0]])
+def test_antennas_stand_within_ten_metres(place: list[float]) -> None:
+    fields = {"transmitters_m": [[0.0, 0.0, 0.0]], "receivers_m": [place]}
+    with pytest.raises(InputError, match="receivers_m"):
+        RADAR.with_({"elements": fields})
+    target = Target("point", (5.0, 0.2, 0.0), (0.0, 0.0, 0.0), 1.0, "test")
+    rig = Rig(Pose((5.0, 0.0, 0.0)), radar=Pose((0.0, 0.0, 0.0)))
+    with pytest.raises(InputError, match="'point': is 0 m from one of its antennas"):
+        radar_capture(world(targets=(target,), rig=rig), with_receiver(0.2))

@@ -156,7 +156,7 @@ def radar_echo(
     knobs, air = knobs_of(fidelity, radar.total_bandwidth_hz), _air(weather, radar)
     worlds = [seen_by(radar, w, knobs) for w in _worlds(scene, radar, poses, interval_s)]
     for world in worlds:
-        _check_targets(world)
+        _check_targets(world, radar)
     ray_seed, noise_seed = _seeds(seed)
     with stage("radar paths"):
         rays = int(ray_seed.generate_state(1)[0]) >> 1
@@ -381,15 +381,22 @@ def _worlds(
     return [scene.after(i * interval).at(pose) for i, pose in enumerate(poses)]
 
 
-def _check_targets(scene: Scene) -> None:
-    place = scene.rig.position_m + scene.rig.device("radar")[0]
+def _check_targets(scene: Scene, radar: RadarDesign) -> None:
+    offset_m, axes = scene.rig.device("radar")
+    place = scene.rig.position_m + offset_m
+    elements_m = np.concatenate([radar.burst.transmitters_m, radar.burst.receivers_m]) @ axes
     for target in scene.targets:
-        distance = float(np.linalg.norm(np.asarray(target.position_m) - place))
-        if distance < _NEAREST_M:
-            raise InputError(
-                f"target {target.name!r}: is {distance:g} m from the radar, "
-                f"expected at least {_NEAREST_M:g} m"
-            )
+        away_m = np.asarray(target.position_m) - place
+        from_elements_m = np.linalg.norm(away_m - elements_m, axis=1)
+        for distance, what in (
+            (float(np.linalg.norm(away_m)), "the radar"),
+            (float(from_elements_m.min()), "one of its antennas"),
+        ):
+            if distance < _NEAREST_M:
+                raise InputError(
+                    f"target {target.name!r}: is {distance:g} m from {what}, "
+                    f"expected at least {_NEAREST_M:g} m"
+                )
 
 
 def _record(

@@ -114,7 +114,7 @@ def warnings(
     messages += _coarse(scene, radar, bursts[0])
     if not bursts[0].instants:
         messages += _bends(scene, radar)
-    messages += [_curved(radar, t) for t in truth if _curvature_rad(radar, t.range_m) > _CURVED_RAD]
+    messages += _curved(radar, truth, bursts[0])
     messages += _noise(radar, farthest)
     if not any(len(burst.contributions) for burst in bursts):
         what = "noise and leakage" if radar.leakage else "noise"
@@ -226,13 +226,27 @@ def _curvature_rad(radar: RadarDesign, range_m: float) -> float:
     return float(np.pi * widest / (radar.ofdm.wavelength_m * range_m))
 
 
-def _curved(radar: RadarDesign, target: TrueTarget) -> CaptureWarning:
-    return CaptureWarning(
-        "design",
-        f"{target.name} is so near that wavefronts bend by "
-        f"{_curvature_rad(radar, target.range_m):.2g} rad over the antennas: the vehicle takes "
-        "them for plane, so that direction and level are off by more than it states",
-    )
+def _curved(
+    radar: RadarDesign, truth: Sequence[TrueTarget], burst: Propagation
+) -> list[CaptureWarning]:
+    """Of declared targets, and of bodies that are none of them."""
+    declared = {target.name for target in truth}
+    near = [(target.name, target.range_m) for target in truth] + [
+        (body.name, body.ranges_m[0])
+        for body in burst.bodies
+        if body.level_db > _FAINT_DB and declared.isdisjoint(body.objects)
+    ]
+    bent = [(name, _curvature_rad(radar, max(range_m, 1e-3))) for name, range_m in near]
+    return [
+        CaptureWarning(
+            "design",
+            f"{name} is so near that wavefronts bend by {bend:.2g} rad over the antennas: the "
+            "vehicle takes them for plane, so that direction and level are off by more than it "
+            "states",
+        )
+        for name, bend in bent
+        if bend > _CURVED_RAD
+    ]
 
 
 def _too_large(item: SceneObject, place: Array) -> bool:

@@ -16,7 +16,8 @@ from twin.radar.device.antenna_pattern_file import Pattern, read_pattern
 from twin.toml import Finite, Positive, Sourced, Strict
 
 Array = NDArray[np.float64]
-Place = tuple[Finite, Finite, Finite]
+_Coordinate = Annotated[Finite, Field(ge=-10, le=10)]
+Place = tuple[_Coordinate, _Coordinate, _Coordinate]
 Places = Annotated[tuple[Place, ...], Field(min_length=1, max_length=256)]
 
 

@@ -2,7 +2,7 @@
 
 Each step, transmitter and receiver by itself is a radar with one antenna: what its place and its
 time change about an echo's delay goes into the delay, so into the carrier's phase and the envelope
-alike. Wavefronts over the antennas are spheres: see `wavefronts`.
+alike, and into its level. Wavefronts over the antennas are spheres: see `wavefronts`.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hardware.waveform import C_M_PER_S, OfdmWaveform
 from twin.radar.synthesis import Array, Complex, Contributions, demodulated
-from twin.radar.synthesis.wavefronts import nearer_m
+from twin.radar.synthesis.wavefronts import Gain, level, nearer_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,8 @@ class Burst:
 
     ``waveform`` is that of the first step, ``carriers_hz`` and ``step_times_s`` (n_steps,) say
     where and when (its middle) each step lies; slot m is sent by transmitter m modulo their number.
-    Antennas (n, 3) in metres: x ahead, y left, z up.
+    Antennas (n, 3) in metres: x ahead, y left, z up, from the radar's origin. ``gain``: of each
+    towards unit vectors (n, 3), in power; None: echoes are as strong at all of them.
     """
 
     waveform: OfdmWaveform
@@ -30,6 +31,7 @@ class Burst:
     step_times_s: Array
     transmitters_m: Array
     receivers_m: Array
+    gain: Gain | None = None
 
     @property
     def transmitter(self) -> NDArray[np.uint8]:
@@ -72,6 +74,8 @@ class Burst:
         rate, nearer = echoes.delay_rate, np.zeros(len(echoes))
         if not is_in_origin:
             nearer = nearer_m(echoes, sender, listener)
+            if self.gain is not None:
+                amplitude = amplitude * level(echoes, sender, listener, self.gain)
             # Per second: the path's direction turns, so elements see different rates.
             nearer_m_per_s = echoes.departure_per_s @ sender + echoes.arrival_per_s @ listener
             rate = rate - nearer_m_per_s / C_M_PER_S

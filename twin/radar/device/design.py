@@ -112,6 +112,7 @@ class RadarDesign(Entry):
             step_times_s=period * (number - (count - 1) / 2),
             transmitters_m=np.array(self.elements.transmitters_m.value if self.elements else one),
             receivers_m=np.array(self.elements.receivers_m.value if self.elements else one),
+            gain=self.antenna.gain,
         )
 
     def recorded_front_end(self, root_watt_per_count: float) -> RadarFrontEnd:

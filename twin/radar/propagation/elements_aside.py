@@ -1,9 +1,9 @@
-"""What an antenna aside of the others' middle sees otherwise: its own echoes, as a check.
+"""What antennas aside of the radar's origin see otherwise: their own echoes, as a check.
 
-All echoes are traced from the middle of the antennas, and wavefronts over them are spheres. What
-hides what, and which facets are lit by others, is another matter: past a post 5 m away, 5 cm aside,
-an antenna sees 3 cm more of what is 8 m away. Of a wide array the scene is therefore traced from
-its farthest element too, and what bodies' echoes differ by there counts in their stated errors.
+All echoes are traced from the origin, and wavefronts over the antennas are spheres. What hides
+what, and which facets are lit by others, is another matter: past a post 5 m away, 5 cm aside, an
+antenna sees 3 cm more of what is 8 m away. Of a wide array the scene is therefore traced from its
+farthest elements too, and what bodies' echoes differ by there counts in their stated errors.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,12 @@ from twin.radar.propagation.facets.convergence import of_echo, percent
 from twin.radar.propagation.interval.sums import by_body, over_level
 from twin.radar.propagation.result import Propagation
 from twin.radar.propagation.solvers import solver_of, trace
-from twin.radar.synthesis.wavefronts import nearer_m
+from twin.radar.synthesis.wavefronts import level, nearer_m
 from twin.scene import Scene
 
 Array = NDArray[np.float64]
 
-#: Distance of the farthest element, in wavelengths, up to which nothing is compared: at 2 the car
+#: Distance of an element, in wavelengths, up to which it is not compared: at 2 the car
 #: in the yard, most of which is reflected twice or more, differs by as much as is stated.
 _NEAR = 3.0
 _ALONE: Mapping[str, object] = {
@@ -38,17 +38,18 @@ _ALONE: Mapping[str, object] = {
 def with_elements_aside(
     scene: Scene, radar: RadarDesign, fidelity: Fidelity, seed: int, found: Propagation
 ) -> Propagation:
-    """The same with what bodies' echoes differ by at the farthest element in their stated errors,
+    """The same with what bodies' echoes differ by at the farthest elements in their stated errors,
     and a warning where that is more than the tolerance.
     """
-    elements_m = np.concatenate([radar.burst.transmitters_m, radar.burst.receivers_m])
-    aside_m = elements_m[np.argmax(np.linalg.norm(elements_m, axis=1))]
-    distance_m = float(np.linalg.norm(aside_m))
-    if not solver_of(fidelity).has_tolerance or distance_m <= _NEAR * radar.ofdm.wavelength_m:
+    places_m = _farthest(radar)
+    if not solver_of(fidelity).has_tolerance or not len(places_m):
         return found
-    began_s = perf_counter()
-    there = trace(_seen_from(scene, aside_m), radar.with_(_ALONE), fidelity=fidelity, seed=seed)
-    off = _differences(radar, found, there, aside_m)
+    began_s, distance_m = perf_counter(), float(np.linalg.norm(places_m, axis=1).max())
+    differences = []
+    for aside_m in places_m:
+        there = trace(_seen_from(scene, aside_m), radar.with_(_ALONE), fidelity=fidelity, seed=seed)
+        differences.append(_differences(radar, found, there, aside_m))
+    off = np.max(differences, axis=0).tolist()
     permitted = fidelity.radar_tolerance
     told = [
         f"the echo of {body.name} by {of_echo(change, body.level_over_echo)}"
@@ -56,7 +57,7 @@ def with_elements_aside(
         if change > permitted
     ]
     remark = (
-        f"antennas aside: {1e3 * distance_m:.2g} mm from their middle, where echoes are traced, "
+        f"antennas aside: {1e3 * distance_m:.2g} mm from the origin, where echoes are traced, "
         f"shadows and reflections between surfaces change {', '.join(told)}, which is left out; "
         f"{percent(permitted)} % permitted; the stated errors contain it"
     )
@@ -79,19 +80,31 @@ def with_elements_aside(
     )
 
 
+def _farthest(radar: RadarDesign) -> Array:
+    """Places of elements that are the farthest to the left, right, top, bottom, front or back, of
+    those that are compared, (n, 3).
+    """
+    elements_m = np.concatenate([radar.burst.transmitters_m, radar.burst.receivers_m])
+    ends = np.concatenate([elements_m.argmin(axis=0), elements_m.argmax(axis=0)])
+    some_m = np.unique(elements_m[ends], axis=0)
+    is_far = np.linalg.norm(some_m, axis=1) > _NEAR * radar.ofdm.wavelength_m
+    return np.asarray(some_m[is_far])
+
+
 def _differences(
     radar: RadarDesign, found: Propagation, there: Propagation, aside_m: Array
-) -> list[float]:
+) -> Array:
     """Of each body, what its echo at an element aside, of what was found from the middle, differs
     by from that found there, relative to its level.
     """
     echoes = found.contributions
     nearer_s = nearer_m(echoes, aside_m, aside_m) / C_M_PER_S
-    moved = replace(echoes, delay_s=echoes.delay_s - nearer_s)
+    amplitude = echoes.amplitude * level(echoes, aside_m, aside_m, radar.antenna.gain)
+    moved = replace(echoes, amplitude=amplitude, delay_s=echoes.delay_s - nearer_s)
     taken = by_body(radar, found.bodies, found, moved, paths=False)[:-1]
     own = by_body(radar, found.bodies, there, there.contributions, paths=False)[:-1]
-    level = np.array([body.level_amplitude for body in found.bodies])
-    return list(over_level(taken - own, level).tolist())
+    levels = np.array([body.level_amplitude for body in found.bodies])
+    return over_level(taken - own, levels)
 
 
 def _seen_from(scene: Scene, aside_m: Array) -> Scene:
