@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 _FILM, _SUN_FILM, _TEXELS = 256, 128, 1024
 _ROULETTE = 4  # bounces, from which on paths end by chance
 _SIGMAS = 5  # of blur, within which light is
-#: Pixels that a standard deviation of blur has at least: with 1.1 the finest bars of the yard's chart
-#: were 5 % too bright or dark.
+#: Pixels that a standard deviation of blur has at least: with 1.1 the finest bars of the chart in
+#: the yard were 5 % too bright or dark.
 _ACROSS_BLUR = 3
 
 
