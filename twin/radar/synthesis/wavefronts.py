@@ -58,12 +58,16 @@ def level(echoes: Contributions, sender_m: Array, listener_m: Array, gain: Gain)
 
 
 def _level_of_point(distance_m: Array, way: Array, element_m: Array, gain: Gain) -> Array:
-    """Of one way, to or from points in directions ``way`` (n, 3) and so far from the origin."""
+    """Of one way, to or from points in directions ``way`` (n, 3) and so far from the origin; 1 for
+    those that have no direction.
+    """
+    size = np.linalg.norm(way, axis=1, keepdims=True)  # directions of other times are longer
+    way = way / np.maximum(size, _LEAST_M)
     from_element = distance_m[:, None] * way - element_m
     there_m = np.maximum(np.linalg.norm(from_element, axis=1), _LEAST_M)
     before, after = gain(way), gain(from_element / there_m[:, None])
     ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
-    return np.asarray(distance_m / there_m * np.sqrt(ratio))
+    return np.where(size[:, 0] > 0, distance_m / there_m * np.sqrt(ratio), 1.0)
 
 
 def _to_point(distance_m: Array, along_m: Array, element_m: Array) -> Array:
