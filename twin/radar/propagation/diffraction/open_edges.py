@@ -17,6 +17,7 @@ Indices = NDArray[np.int64]
 
 _BEYOND_M = 1e-4  # an edge: where another triangle goes on; far beyond rounding of coordinates
 _MANY = 2000  # edges that are compared with all others
+_RASTER = 1024  # cells along each side of a raster in which triangles beside edges are looked up
 _SHORTEST_M = 1e-3  # what is left of an edge: less comes from looking beyond it
 
 
@@ -66,8 +67,7 @@ def _covered(ends: Array, triangles: Array, normal: Array) -> tuple[Indices, Arr
     if not len(ends):
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     lines, areas = (np.stack([x.min(axis=1), x.max(axis=1)], axis=1) for x in (ends, triangles))
-    low, high = lines[:, 0].min(axis=0), lines[:, 1].max(axis=0)
-    near = ((areas[:, 0] <= high + _BEYOND_M) & (areas[:, 1] >= low - _BEYOND_M)).all(axis=1)
+    near = _beside(areas, lines, normal)
     triangles, boxes = triangles[near], np.concatenate([lines, areas[near]])
     pairs = near_pairs(boxes)[0]
     pairs = pairs[(pairs[:, 0] < len(ends)) & (pairs[:, 1] >= len(ends))]
@@ -86,6 +86,40 @@ def _covered(ends: Array, triangles: Array, normal: Array) -> tuple[Indices, Arr
         high = np.where((slope == 0) & (depth <= 0), -np.inf, high)
     some = np.flatnonzero(low < high)
     return line[some], np.stack([low, high], axis=1)[some]
+
+
+def _beside(boxes: Array, others: Array, normal: Array) -> NDArray[np.bool_]:
+    """Which boxes (n, 2, 3) along a plane may touch any of others, (n,): by the cells of a raster,
+    so that of millions of triangles those are left that are beside a few thousand edges.
+    """
+    axes = np.argsort(np.abs(normal))[:2]
+    low = others[:, 0].min(axis=0)[axes] - _BEYOND_M
+    cell = (others[:, 1].max(axis=0)[axes] + _BEYOND_M - low) / _RASTER
+
+    def cells(of: Array, grow_m: float) -> Indices:
+        begin = np.floor((of[:, 0][:, axes] - grow_m - low) / cell)
+        end = np.floor((of[:, 1][:, axes] + grow_m - low) / cell)
+        outside = (end < 0).any(axis=1) | (begin >= _RASTER).any(axis=1)
+        found = np.clip(np.stack([begin, end + 1]), 0, _RASTER).astype(np.int64)
+        found[1, outside] = found[0, outside]
+        return found
+
+    (left, low_row), (right, high_row) = (ends.T for ends in cells(others, _BEYOND_M))
+    marks = np.zeros((_RASTER + 1, _RASTER + 1), dtype=np.int64)
+    for column, row, sign in (
+        (left, low_row, 1),
+        (right, high_row, 1),
+        (left, high_row, -1),
+        (right, low_row, -1),
+    ):
+        np.add.at(marks, (column, row), sign)
+    is_marked = marks.cumsum(axis=0).cumsum(axis=1) > 0
+    sums = np.zeros((_RASTER + 1, _RASTER + 1), dtype=np.int64)
+    sums[1:, 1:] = is_marked[:-1, :-1].cumsum(axis=0).cumsum(axis=1)
+    (left, low_row), (right, high_row) = (ends.T for ends in cells(boxes, 0.0))
+    count = sums[right, high_row] - sums[left, high_row]
+    count += sums[left, low_row] - sums[right, low_row]
+    return np.asarray(count > 0)
 
 
 def _without(edges: OpenEdges, row: Indices, covered: Array, n_corners: int) -> OpenEdges:
