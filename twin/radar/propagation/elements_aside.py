@@ -57,13 +57,13 @@ def with_elements_aside(
         if change > permitted
     ]
     remark = (
-        f"antennas aside: {1e3 * distance_m:.2g} mm from the origin, where echoes are traced, "
+        f"antennas aside: {1e3 * distance_m:.3g} mm from the origin, where echoes are traced, "
         f"shadows and reflections between surfaces change {', '.join(told)}, which is left out; "
         f"{percent(permitted)} % permitted; the stated errors contain it"
     )
     decision = Decision(
         "radar",
-        f"what an antenna {1e3 * distance_m:.2g} mm aside sees otherwise",
+        f"what an antenna {1e3 * distance_m:.3g} mm aside sees otherwise",
         max(off, default=0.0),
         permitted,
         UNIT,
