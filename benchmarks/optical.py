@@ -171,12 +171,12 @@ def _line_sensor() -> Iterator[Figure]:
     problem, rows, columns = light_problem(scene, system), (16, 1), (1, 256)
     best = transport_matrix(
         problem, rows, columns, quality=TracingQuality(400**2, 1), seed=9, start="scatter"
-    )
+    )[0]
     for start, side in (("scatter", 20), ("scatter", 56), ("dual", 320)):
 
         def work(start: Start = start, side: int = side) -> NDArray[np.float64]:
             quality = TracingQuality(side**2, 1)
-            return transport_matrix(problem, rows, columns, quality=quality, seed=1, start=start)
+            return transport_matrix(problem, rows, columns, quality=quality, seed=1, start=start)[0]
 
         name = f"T, 16 rows x 256 columns, direct, {start}, {side}^2 paths"
         yield name, timed(work), ""

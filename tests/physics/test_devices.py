@@ -72,7 +72,7 @@ def test_blur_and_fill_look_alike_from_both_sides() -> None:
             [
                 transport_matrix(
                     problem, (4, 4), (2, 4), quality=TracingQuality(1024, 1), seed=s, start=start
-                )
+                )[0]
                 for s in range(12)
             ]
         )

@@ -35,7 +35,7 @@ def wall(distance_m: float):
 def test_without_a_baseline_each_cell_meets_its_own_pixel(start) -> None:
     """Emitter and detector at one point: the matrix is diagonal, and its sum the closed form."""
     problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), TracingQuality(256, 1)
-    matrix = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
+    matrix = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)[0]
     off = matrix - np.diag(np.diag(matrix))
     assert np.abs(off).sum() < 1e-5 * matrix.sum()
     expected = transport(problem, shape, quality=quality, seed=2).total
@@ -53,7 +53,7 @@ def test_a_baseline_moves_pixels_the_way_geometry_says(start) -> None:
     problem = LightProblem(wall(z), HERE, left)
     matrix = transport_matrix(
         problem, (4, n), (4, n), quality=TracingQuality(64, 1), seed=1, start=start
-    ).reshape(4, n, 4, n)
+    )[0].reshape(4, n, 4, n)
     for row in range(4):
         for column in range(n):
             pixel = matrix[:, :, row, column]
@@ -100,7 +100,7 @@ def test_line_sensor_is_what_mitsuba_renders_pattern_by_pattern(depth: int) -> N
                     quality=TracingQuality(samples, depth),
                     seed=s,
                     start=start,
-                )
+                )[0]
                 @ patterns.reshape(4, 16).T
                 for s in range(renders)
             ]
@@ -139,7 +139,7 @@ def test_both_roles_and_the_plain_transport_agree_on_the_yard() -> None:
                     quality=TracingQuality(samples, 2),
                     seed=s,
                     start=start,
-                )
+                )[0]
                 for s in range(24)
             ]
         )
@@ -195,7 +195,7 @@ def test_all_pixels_together_are_the_plain_transport(
     for start in roles:
         ends = math.prod(shape if start == "dual" else columns)
         quality = TracingQuality(math.isqrt(4096 * math.prod(shape) // ends) ** 2, 1)
-        matrix = transport_matrix(problem, shape, columns, quality=quality, seed=3, start=start)
+        matrix = transport_matrix(problem, shape, columns, quality=quality, seed=3, start=start)[0]
         summed = matrix.sum(axis=0)
         assert summed.sum() == pytest.approx(plain.sum(), rel=3e-3)
         np.testing.assert_allclose(summed, plain.ravel(), atol=0.08 * plain.max())
@@ -203,16 +203,16 @@ def test_all_pixels_together_are_the_plain_transport(
 
 def test_same_seed_same_bits_and_roles_by_name() -> None:
     problem, shape, quality = LightProblem(wall(3.0), HERE, HERE), (4, 4), TracingQuality(16, 2)
-    a, b = (transport_matrix(problem, shape, shape, quality=quality, seed=7) for _ in range(2))
+    a, b = (transport_matrix(problem, shape, shape, quality=quality, seed=7)[0] for _ in range(2))
     np.testing.assert_array_equal(a, b)
     with pytest.raises(ValueError, match="start: 'both' is none of dual, scatter"):
-        transport_matrix(problem, shape, shape, quality=quality, seed=1, start="both")
+        transport_matrix(problem, shape, shape, quality=quality, seed=1, start="both")[0]
 
 
 def test_an_empty_view_gives_zeros() -> None:
     backwards = Device(np.zeros(3), np.diag([-1.0, -1.0, 1.0]), TAN)
     problem = LightProblem(wall(3.0), backwards, backwards)
-    matrix = transport_matrix(problem, (4, 4), (4, 4), quality=TracingQuality(4, 3), seed=1)
+    matrix = transport_matrix(problem, (4, 4), (4, 4), quality=TracingQuality(4, 3), seed=1)[0]
     assert matrix.shape == (16, 16)
     assert not matrix.any()
 
@@ -223,8 +223,8 @@ def test_blocks_of_rows_land_where_they_belong(start, monkeypatch: pytest.Monkey
     import twin.optics.tracer as module
 
     problem, shape, quality = LightProblem(wall(5.0), HERE, HERE), (8, 8), TracingQuality(256, 1)
-    whole = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
+    whole = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)[0]
     monkeypatch.setattr(module, "RAYS_AT_ONCE", 2 * 8 * 256)
-    parts = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)
+    parts = transport_matrix(problem, shape, shape, quality=quality, seed=1, start=start)[0]
     np.testing.assert_allclose(np.diag(parts), np.diag(whole), rtol=1e-3)
     assert np.abs(parts - np.diag(np.diag(parts))).sum() < 1e-5 * parts.sum()

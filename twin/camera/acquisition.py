@@ -257,12 +257,18 @@ def measure(
         scatter, of_motion = frame.sun_scatter, frame.warnings
     else:
         scatter, of_motion = frozen_error(scene, chain, rendered)
-    hides = bool(rendered.light.error.any())
+    may_be_missed = bool(rendered.light.error.any())
     warnings = (
         *record_warnings,
         *combined_warnings(distortion, image_noise_e, hidden, record_warnings),
         *design_warnings(
-            system, chain.lens, budget, float(sky.emitter.max()), scene_e, depth_m, hides=hides
+            system,
+            chain.lens,
+            budget,
+            float(sky.emitter.max()),
+            scene_e,
+            depth_m,
+            may_be_missed=may_be_missed,
         ),
         *(range_error.warnings if range_error else ()),
         *rendered.warnings,

@@ -44,15 +44,15 @@ def design_warnings(
     scene_e: Array,
     depth_m: Array,
     *,
-    hides: bool,
+    may_be_missed: bool,
 ) -> tuple[CaptureWarning, ...]:
     """``in_band``: share of the emitter's light that the filter passes on axis, at most;
     ``scene_e`` (n_detectors, n_cells): electrons of the scene's cells; ``depth_m`` of its surfaces;
-    ``hides``: whether there may be some that all paths have missed.
+    ``may_be_missed``: whether all paths may have missed light.
     """
     return (
         *quantisation_warnings(noise),
-        *_no_light(system, in_band, scene_e, depth_m, hides=hides),
+        *_no_light(system, in_band, scene_e, depth_m, may_be_missed=may_be_missed),
         *_ambiguous(system, depth_m),
         *_narrow_filter(system, in_band),
         *_thick_air(system, depth_m),
@@ -110,7 +110,7 @@ def _thick_air(system: System, depth_m: Array) -> list[CaptureWarning]:
 
 
 def _no_light(
-    system: System, in_band: float, scene_e: Array, depth_m: Array, *, hides: bool
+    system: System, in_band: float, scene_e: Array, depth_m: Array, *, may_be_missed: bool
 ) -> list[CaptureWarning]:
     if in_band == 0 or system.emitter.radiant_intensity_w_per_sr.value == 0:
         text = "no light of the emitter passes the filter, or it emits none"
@@ -121,7 +121,7 @@ def _no_light(
         )
     elif not scene_e.any() and system.weather and np.isfinite(depth_m).any():
         text = "no light of the emitter comes back: the air transmits none"
-    elif not scene_e.any() and hides:
+    elif not scene_e.any() and may_be_missed:
         text = (
             "no path brings back light of the emitter: what is in the field of view is hidden, or "
             "too small for so few paths"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin.camera.rendered import DetectorLight, RenderedLight
 from twin.fidelity import Start
-from twin.optics.matrix import matrix_moments
+from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
 from twin.optics.time_of_flight import trace_paths
@@ -67,7 +67,7 @@ def emitter_light(
     # As many paths per pair of cell and column as per cell of a bucket detector.
     side = math.ceil(math.sqrt(quality.samples * ends))
     quality = replace(quality, samples=side * side)
-    mean, scatter = matrix_moments(
+    mean, scatter = transport_matrix(
         problem, shape, (1, n_detectors), quality=quality, seed=seed, start=start
     )
     paths, image = side * side / ends, _side_by_side(mean, shape)

@@ -32,29 +32,16 @@ def transport_matrix(
     quality: TracingQuality,
     seed: int,
     start: Start = "dual",
-) -> Array:
+) -> tuple[Array, Array]:
     """T[pixel, cell] between ``cells`` of the emitter and ``pixels`` of the detector, (rows,
-    columns) each, in 1/m^2: shape (n_pixels, n_cells).
+    columns) each, in 1/m^2: shape (n_pixels, n_cells); and the scatter of its paths, as
+    `twin.optics.transport.path_moments` has it: over their number, `TracingQuality.samples`, it is
+    the variance of T.
 
     The power that cell i puts on pixel j is I tau A_pupil T[j, i]; summed over the pixels it is
     `transport`. Contributions are added in float64 in a fixed order: same seed, same bits.
 
     Raises InputError for an unknown ``start``, and for *scatter* towards elements without a lens.
-    """
-    return matrix_moments(problem, cells, pixels, quality=quality, seed=seed, start=start)[0]
-
-
-def matrix_moments(
-    problem: LightProblem,
-    cells: tuple[int, int],
-    pixels: tuple[int, int],
-    *,
-    quality: TracingQuality,
-    seed: int,
-    start: Start = "dual",
-) -> tuple[Array, Array]:
-    """The same and the scatter of its paths, as `twin.optics.transport.path_moments` has it: over
-    the number of paths, `TracingQuality.samples`, it is the variance of T.
     """
     if start not in get_args(Start):
         raise InputError(f"start: {start!r} is none of dual, scatter")

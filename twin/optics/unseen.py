@@ -36,8 +36,9 @@ def facet_light(
     distance2 = _squared_norms(vertices_m[inside] - detector.origin_m)
     solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size / columns
     facing = solid_angle * reflectance[inside] / np.pi / np.maximum(distance2, 1e-12)
-    light, place = np.zeros(shape), (row[inside].astype(int), column[inside].astype(int))
-    np.maximum.at(light, place, facing)
+    light, places = np.zeros(shape), np.stack([row[inside], column[inside]]).astype(int)
+    # Rounding may bring what is just within the field to its end.
+    np.maximum.at(light, tuple(np.minimum(places, np.array(shape)[:, None] - 1)), facing)
     return np.asarray(maximum_filter(light, 3, mode="constant"))
 
 

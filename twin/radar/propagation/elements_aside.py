@@ -42,7 +42,7 @@ def with_elements_aside(
     and a warning where that is more than the tolerance.
     """
     places_m = _farthest(radar)
-    if not solver_of(fidelity).has_tolerance or not len(places_m):
+    if not (len(places_m) and found.bodies and solver_of(fidelity).has_tolerance):
         return found
     began_s, distance_m = perf_counter(), float(np.linalg.norm(places_m, axis=1).max())
     differences = []
@@ -64,7 +64,7 @@ def with_elements_aside(
     decision = Decision(
         "radar",
         f"what an antenna {1e3 * distance_m:.3g} mm aside sees otherwise",
-        max(off, default=0.0),
+        max(off),
         permitted,
         UNIT,
         False,

@@ -4,6 +4,7 @@ A mesh may list part of a plane more than once: a closed house joined with the g
 in it. There an edge of one triangle ends nothing, as another goes on beyond it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ Indices = NDArray[np.int64]
 
 _BEYOND_M = 1e-4  # an edge: where another triangle goes on; far beyond rounding of coordinates
 _MANY = 2000  # edges that are compared with all others
-_RASTER = 1024  # cells along each side of a raster in which triangles beside edges are looked up
+_RASTER = 1024  # cells, at most, along a side of the raster in which triangles are looked up
 _SHORTEST_M = 1e-3  # what is left of an edge: less comes from looking beyond it
 
 
@@ -92,20 +93,20 @@ def _beside(boxes: Array, others: Array, normal: Array) -> NDArray[np.bool_]:
     """Which boxes (n, 2, 3) along a plane may touch any of others, (n,): by the cells of a raster,
     so that of millions of triangles those are left that are beside a few thousand edges.
     """
-    axes = np.argsort(np.abs(normal))[:2]
+    axes, n = np.argsort(np.abs(normal))[:2], min(math.isqrt(len(boxes)) + 1, _RASTER)
     low = others[:, 0].min(axis=0)[axes] - _BEYOND_M
-    cell = (others[:, 1].max(axis=0)[axes] + _BEYOND_M - low) / _RASTER
+    cell = (others[:, 1].max(axis=0)[axes] + _BEYOND_M - low) / n
 
     def cells(of: Array, grow_m: float) -> Indices:
         begin = np.floor((of[:, 0][:, axes] - grow_m - low) / cell)
         end = np.floor((of[:, 1][:, axes] + grow_m - low) / cell)
-        outside = (end < 0).any(axis=1) | (begin >= _RASTER).any(axis=1)
-        found = np.clip(np.stack([begin, end + 1]), 0, _RASTER).astype(np.int64)
+        outside = (end < 0).any(axis=1) | (begin >= n).any(axis=1)
+        found = np.clip(np.stack([begin, end + 1]), 0, n).astype(np.int64)
         found[1, outside] = found[0, outside]
         return found
 
     (left, low_row), (right, high_row) = (ends.T for ends in cells(others, _BEYOND_M))
-    marks = np.zeros((_RASTER + 1, _RASTER + 1), dtype=np.int64)
+    marks = np.zeros((n + 1, n + 1), dtype=np.int64)
     for column, row, sign in (
         (left, low_row, 1),
         (right, high_row, 1),
@@ -114,7 +115,7 @@ def _beside(boxes: Array, others: Array, normal: Array) -> NDArray[np.bool_]:
     ):
         np.add.at(marks, (column, row), sign)
     is_marked = marks.cumsum(axis=0).cumsum(axis=1) > 0
-    sums = np.zeros((_RASTER + 1, _RASTER + 1), dtype=np.int64)
+    sums = np.zeros((n + 1, n + 1), dtype=np.int64)
     sums[1:, 1:] = is_marked[:-1, :-1].cumsum(axis=0).cumsum(axis=1)
     (left, low_row), (right, high_row) = (ends.T for ends in cells(boxes, 0.0))
     count = sums[right, high_row] - sums[left, high_row]
