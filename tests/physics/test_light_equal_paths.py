@@ -154,6 +154,19 @@ def test_what_all_paths_miss_is_stated(system: System, half_m: float) -> None:
     assert not any(one.void or not one.cells_e.any() for one in by_default)
 
 
+def test_a_square_in_the_dark_states_what_its_own_paths_tell() -> None:
+    """Squares of 20 to 60 mm alone in a cell of 88 mm of a bucket detector, to a tolerance, 160
+    runs: 93 % within. With half of the variance from dark cells around it was 89 %.
+    """
+    system, found = PLAIN.with_({"emitter.radiant_intensity_w_per_sr": 3.0}), []
+    for half_m in (0.01, 0.015, 0.0225, 0.03):
+        place = (2.0, (-0.2203 - half_m, -0.2203 + half_m), (-0.0421 - half_m, -0.0421 + half_m))
+        found += [ratios(system, place, seed) for seed in range(40)]
+    every = np.concatenate(found)
+    assert np.mean(every <= 1) >= 0.93
+    assert every.max() < 3
+
+
 def test_errors_of_phases_are_of_all_their_light() -> None:
     """Cells hold what all phases collect, half of the light each, and so do their errors: they were
     one exposure's, half of it of 4 phases, a quarter of 8.
