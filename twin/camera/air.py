@@ -74,12 +74,6 @@ class CellBackscatter:
     light: Array
     paths: Paths | None = None
 
-    def added_to(self, paths: Paths) -> Paths:
-        """Paths to surfaces together with those to the air."""
-        assert self.paths is not None  # rendered for a system with time of flight
-        value = np.hstack([paths.value, self.paths.value])
-        return Paths(value, np.hstack([paths.length_m, self.paths.length_m]), paths.shape)
-
 
 def backscatter_of(system: System, problem: LightProblem) -> CellBackscatter:
     """Backscatter of every cell, in front of the surface that each of its rays meets first."""

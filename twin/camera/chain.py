@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,13 @@ from twin.camera.illumination import (
     residual_share,
     settled,
 )
-from twin.camera.shutters import ShutterResponse, shutters
+from twin.camera.shutters import (
+    ShutterResponse,
+    most_collected,
+    shutters,
+    unambiguous_m,
+    weight,
+)
 from twin.detector import Detector, FrontEnd, NoiseBudget
 from twin.detector.flicker import ExposureTimes, in_image
 from twin.detector.interface import check_detector, checked_exposure
@@ -33,7 +39,6 @@ from twin.optics.emission import cell_gains
 from twin.optics.passband import Passband, passband
 from twin.optics.radiometry import Collection, collection, near_pupil_m
 from twin.optics.spectra import responsivity_a_per_w
-from twin.optics.time_of_flight import Paths
 from twin.own_parts import made_by
 from twin.scene import Pose, Sun
 from twin.system import Sky, System
@@ -139,6 +144,23 @@ class Chain:
         collected = self.lens.transmission * self.lens.pupil_area_m2
         return np.asarray(intensity * collected * passed * self.gains)
 
+    def watts_of(self, rendered: "RenderedLight") -> Array:
+        """The same of the light rendered, as the filter passes it from each cell."""
+        passed = self.passed(rendered)
+        if not self.system.emitter.has_lens:  # every LED lights the whole field
+            passed = np.full_like(passed, passed.mean())
+        return self.watts(passed)
+
+    @cached_property
+    def largest_share(self) -> float:
+        """Largest share of a cell's light that the shutters collect, all together, averaged over
+        the exposure.
+        """
+        if self.system.time_of_flight is None:
+            return 1.0
+        ends_m = np.zeros(1), np.full(1, 2 * unambiguous_m(self.system))
+        return float(most_collected(self.shutters, *ends_m)[0])
+
     def passed(self, rendered: "RenderedLight") -> Array:
         """Share of light that the filter passes from each cell, (n_detectors, n_cells)."""
         view = rendered.truth, rendered.emitter, rendered.detector
@@ -161,40 +183,22 @@ class Chain:
 
     def powers(self, rendered: "RenderedLight") -> Powers:
         """Power of the rendered light on the detectors."""
-        system = self.system
-        passed = self.passed(rendered)
-        if not system.emitter.has_lens:  # every LED lights the whole field
-            passed = np.full_like(passed, passed.mean())
-        watt = self.watts(passed)
-        cells = self._through_shutters(rendered.light.cells, rendered.paths)
-        air = rendered.backscatter
-        backscatter = self._through_shutters(air.light, air.paths) if air else np.zeros_like(cells)
-        lit = watt * self._share_collected(cells, rendered.paths)
+        watt, light = self.watts_of(rendered), rendered.light
+        cells, error, backscatter = self._behind_shutters(rendered)
+        share = np.full_like(light.cells, self.largest_share)
+        np.divide(cells.sum(axis=0), light.cells, out=share, where=light.cells > 0)
         return Powers(
             cells_w=watt * cells,
-            error_w=lit * rendered.light.error,
+            error_w=watt * error,
             sun_w=self.sun_power(rendered),
             backscatter_w=watt * backscatter,
             left_out_w=_left_out(
-                lit, rendered.light.left_out + self._of_pupil(rendered) * rendered.light.cells
+                watt * share, light.left_out + self._of_pupil(rendered) * light.cells
             ),
             sun_error_w=self._sun_error(rendered),
             sun_left_out_w=self._sun_left_out(rendered),
             sun_of_cells_w=self._sun_of_cells(rendered),
         )
-
-    def _share_collected(self, cells: Array, paths: Paths | None) -> Array | float:
-        """Share of each cell's light that shutters collect, all together and averaged over the
-        exposure, (n_detectors, n_cells); of one that is always open 1. Where there is no light, of
-        phases their mean, of gates all of every pulse.
-        """
-        if paths is None:
-            return 1.0
-        light, one = paths.light().reshape(1, -1), self.shutters[0]
-        is_phase = one.light_share == 1
-        nothing = sum(s.open_share for s in self.shutters) if is_phase else one.light_share
-        share = np.full_like(light, nothing)
-        return np.divide(cells.sum(axis=0), light, out=share, where=light > 0)
 
     def _sun_of_cells(self, rendered: "RenderedLight") -> Array | None:
         """Of a detector that follows the lit cell: sun from the cells that it sees with it."""
@@ -249,9 +253,23 @@ class Chain:
         one = self.system.n_detectors == 1
         return np.asarray(parts.sum(keepdims=True).reshape(1) if one else parts.sum(axis=0))
 
-    def _through_shutters(self, cells: Array, paths: Paths | None) -> Array:
-        """Light (n_shutters, n_detectors, n_cells) behind each shutter."""
-        return np.stack([_through(shutter, cells, paths) for shutter in self.shutters])
+    def _behind_shutters(self, rendered: "RenderedLight") -> tuple[Array, Array, Array]:
+        """Light behind each shutter, (n_shutters, n_detectors, n_cells); the standard error of all
+        together, (n_detectors, n_cells); and the part of the light that the air scattered back.
+        """
+        air, paths = rendered.backscatter, rendered.paths
+        if paths is None:
+            cells = rendered.light.cells[None]
+            return cells, rendered.light.error, air.light[None] if air else np.zeros_like(cells)
+        responses = [weight(shutter) for shutter in self.shutters]
+        cells, error = paths.behind(responses, partial(most_collected, self.shutters))
+        one = (len(cells), 1, -1)  # detector
+        backscatter = np.zeros_like(cells)
+        if air is not None:
+            assert air.paths is not None  # rendered for a system with time of flight
+            backscatter = np.array([air.paths.light(response) for response in responses])
+        cells += backscatter
+        return cells.reshape(one), error.reshape(1, -1), backscatter.reshape(one)
 
     def mean_signal(self, power: Powers) -> Array:
         """Mean signal, (n_exposures, n_shutters, n_detectors) in W."""
@@ -357,14 +375,6 @@ class Chain:
 def _left_out(weight: Array, bound: Array | float) -> Array:
     """Bound of power: of light of which none arrives nothing is left out, be the bound infinite."""
     return np.multiply(weight, bound, out=np.zeros_like(weight), where=weight > 0)
-
-
-def _through(shutter: ShutterResponse, cells: Array, paths: Paths | None) -> Array:
-    """Light (n_detectors, n_cells) behind one shutter."""
-    if shutter.response is None:
-        return cells
-    assert paths is not None  # rendered for a system with time of flight
-    return paths.light(shutter.response).reshape(1, -1) * shutter.light_share
 
 
 def _by_detector(image: Array, system: System) -> Array:

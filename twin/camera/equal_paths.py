@@ -11,7 +11,7 @@ from twin.fidelity import Start
 from twin.optics.matrix import transport_matrix
 from twin.optics.paths import TracingQuality
 from twin.optics.problem import LightProblem
-from twin.optics.time_of_flight import trace_paths
+from twin.optics.time_of_flight import Paths, trace_paths
 from twin.optics.transport import CellLight, sunlight, transport, variance_of_direct
 from twin.optics.unseen import missed_facet_variance
 from twin.system import System
@@ -37,13 +37,20 @@ def with_light(
     shape = (system.emitter.rows.value, system.emitter.columns.value)
     if system.optics.is_scanned:  # all else comes from beside the detector's field
         quality = replace(quality, max_depth=1)
+    if system.time_of_flight:
+        paths = trace_paths(problem, shape, quality=quality, seed=seed)
+        return replace(rendered, light=_of_paths(paths), paths=paths)
     light = emitter_light(
         problem, shape, system.n_detectors, quality=quality, seed=seed, start=start
     )
-    paths = None
-    if system.time_of_flight:
-        paths = trace_paths(problem, shape, quality=quality, seed=seed)
-    return replace(rendered, light=light, paths=paths)
+    return replace(rendered, light=light)
+
+
+def _of_paths(paths: Paths) -> DetectorLight:
+    """All light of one detector's cells."""
+    light, first = paths.light(), float(paths.value[:, : paths.samples].sum(dtype=np.float64))
+    share = 1 - first / float(light.sum()) if light.any() else 0.0
+    return DetectorLight(light.reshape(1, -1), paths.standard_error.reshape(1, -1), share)
 
 
 def emitter_light(

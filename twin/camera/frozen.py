@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -204,9 +204,7 @@ def _count_change(
     passing: _Passing, emitter: Device, chain: Chain, rendered: RenderedLight
 ) -> CountChange:
     system, seen = chain.system, passing.seen
-    ones = np.ones_like(rendered.light.cells)
-    unit = chain.powers(replace(rendered, light=replace(rendered.light, error=ones))).error_w
-    watt = float(unit.max())
+    watt = float(chain.watts_of(rendered).max() * chain.largest_share)
     largest = (2 * emitter.tan_half_field) ** 2 / passing.changed.size * watt
     image = side_by_side(chain.powers(rendered).cells_w.sum(axis=0), system)
     weight = chain.sun_weight(rendered)

@@ -247,8 +247,7 @@ def render_light(
             backscatter = backscatter_of(system, problem)
             cells = rendered.light.cells + backscatter.light
             light = replace(rendered.light, cells=cells, left_out=beyond)
-            paths = rendered.paths and backscatter.added_to(rendered.paths)
-            rendered = replace(rendered, light=light, paths=paths, backscatter=backscatter)
+            rendered = replace(rendered, light=light, backscatter=backscatter)
     if not fidelity.has_light_tolerance:
         warnings = lost_orders_warnings(lost, quality.air_orders)
         return replace(rendered, warnings=(*rendered.warnings, *warnings))

@@ -69,9 +69,7 @@ def light_by_cell(
         return LightAtInstants(ends, still, *sun[:2], math.hypot(small, sun[2]) / math.sqrt(2))
     times = change.first_instants(world.duration_s, tolerance, change.of_light)
     problem = with_near_pupil(problem, system, np.array([change.seen.nearest_m]))
-    ones = np.ones_like(rendered.light.cells)
-    lit = replace(rendered.light, cells=ones, error=ones)
-    watt = chain.powers(replace(rendered, light=lit)).error_w[0]
+    watt = chain.watts_of(rendered)[0]
     # As errors of the lit cells add up in a count, of all cells alike.
     with np.errstate(divide="ignore"):
         noise = noise_w / math.sqrt(max(lit_share(chain), 1e-12) * watt.size) / watt

@@ -80,17 +80,14 @@ def _told(
     """The same with a warning of an error beyond the permitted one, and the decision on indirect
     light, whose bound is ``indirect_over`` the permitted error.
     """
-    light = rendered.light
-    over, tolerance = (
-        _rms(light.error / permitted.of(light.cells)),
-        permitted.tolerance_of(light.cells),
-    )
+    (cells, _), over = permitted.collected(rendered.light), permitted.over(rendered.light)
+    tolerance = permitted.tolerance_of(cells)
     decision = permitted.decision(
         "indirect light", (indirect_over, LEFT_OUT), tolerance, taken, cost_s
     )
     return replace(
         rendered,
-        warnings=(*rendered.warnings, *tolerance_warnings(over, permitted, light.cells)),
+        warnings=(*rendered.warnings, *tolerance_warnings(over, permitted, cells)),
         decisions=(*rendered.decisions, decision),
     )
 
@@ -106,11 +103,14 @@ def _equally(
     system, samples, taken = chain.system, _FIRST_SAMPLES, True
     most = _most_samples(rendered, quality)
     largest = problem.largest_indirect(problem.from_emitter(system.image_shape, quality, seed))
+    largest *= system.receiver_share
     while True:
         quality = replace(quality, samples=samples, indirect_samples=None)
         lit = with_light(rendered, problem, system, quality, seed, fidelity.start)
-        over, permitted = _over(lit, chain, fidelity)
-        indirect = largest * _rms(1 / permitted.of_alike(lit.light.cells))
+        permitted = PermittedError(chain, lit, fidelity)
+        over, (cells, _) = permitted.over(lit.light), permitted.collected(lit.light)
+        # It may come when the shutters collect the most.
+        indirect = largest * chain.largest_share * _rms(1 / permitted.of_alike(cells))
         taken = taken and not system.optics.is_scanned
         if over <= 1 or samples >= most:
             break
@@ -119,15 +119,9 @@ def _equally(
         # Their number by its square root; the error falls as their number to the power -0.75.
         side = math.isqrt(samples) * min(max(1.1 * over ** (2 / 3), 1.4), 4.0)
         samples = min(math.ceil(side) ** 2, most)
-    left_out = 0.0 if taken else largest * system.receiver_share
+    left_out = 0.0 if taken else largest
     lit = replace(lit, light=replace(lit.light, left_out=left_out))
     return _told(lit, permitted, indirect, taken=taken)
-
-
-def _over(lit: RenderedLight, chain: Chain, fidelity: Fidelity) -> tuple[float, PermittedError]:
-    """Error over the permitted one, root mean square over the cells, and that one."""
-    permitted = PermittedError(chain, lit, fidelity)
-    return _rms(lit.light.error / permitted.of(lit.light.cells)), permitted
 
 
 def _most_samples(rendered: RenderedLight, quality: TracingQuality) -> int:

@@ -18,7 +18,7 @@ from twin.camera.illumination import dark_share
 from twin.fidelity import LightFidelity
 
 if TYPE_CHECKING:
-    from twin.camera.rendered import RenderedLight
+    from twin.camera.rendered import DetectorLight, RenderedLight
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class PermittedError:
         To its noise ``light_tolerance`` refers.
     rendered
         With the sun, the truth and, for a system with time of flight, the paths; its light does not
-        count.
+        count. The light of cells is here what all shutters together collect of it (`collected`).
     fidelity
         With `light_tolerance`, `light_tolerance_relative`, or both: then the stricter.
     """
@@ -47,6 +47,17 @@ class PermittedError:
     chain: Chain
     rendered: "RenderedLight"
     fidelity: LightFidelity
+
+    def collected(self, light: "DetectorLight") -> tuple[Array, Array]:
+        """Of some light what the shutters collect, and its standard error, (n_detectors, n_cells);
+        with time of flight that of the paths.
+        """
+        return self._of_paths if self._is_timed else (light.cells, light.error)
+
+    def over(self, light: "DetectorLight") -> float:
+        """Error of that light over the permitted one, root mean square over the cells."""
+        cells, error = self.collected(light)
+        return _rms(error / np.maximum(self.of(cells), 1e-150))
 
     def of(self, cells: Array) -> Array:
         """Permitted error of each cell, for errors that are independent from cell to cell, as those
@@ -85,7 +96,7 @@ class PermittedError:
     def noise(self, cells: Array) -> Array:
         """Noise of each pixel, in the unit of the light of the cells."""
         with np.errstate(divide="ignore"):
-            return np.asarray(self.noise_w(cells) / self._unit.error_w)
+            return np.asarray(self.noise_w(cells) / self._watts)
 
     def noise_w(self, cells: Array) -> Array:
         """The same as power on the detector; asked again of the same array it is not computed
@@ -102,9 +113,8 @@ class PermittedError:
 
     def _noise_w(self, cells: Array) -> Array:
         power, chain = self._unit, self.chain
-        # Behind a shutter that weights paths by their length light is that of the paths.
-        is_plain = [shutter.response is None for shutter in chain.shutters]
-        lit = np.where(np.reshape(is_plain, (-1, 1, 1)), power.cells_w * cells, power.cells_w)
+        # Behind shutters that weight paths by their length light is that of the paths.
+        lit = power.cells_w if self._is_timed else power.cells_w * cells
         signal = chain.mean_signal(replace(power, cells_w=lit))
         noise_e = cells_noise_e(chain, replace(power, cells_w=lit), signal)
         to_e = chain.front_end.electrons_per_watt * (1 - dark_share(chain.system))
@@ -186,8 +196,23 @@ class PermittedError:
     def _unit(self) -> Powers:
         """Power of cells of light 1."""
         ones = np.ones_like(self.rendered.light.cells)
-        light = replace(self.rendered.light, cells=ones, error=ones)
+        light = replace(self.rendered.light, cells=ones)
         return self.chain.powers(replace(self.rendered, light=light))
+
+    @cached_property
+    def _of_paths(self) -> tuple[Array, Array]:
+        """As `collected` of the paths."""
+        power, watts = self._unit, np.where(self._watts > 0, self._watts, np.inf)
+        return power.cells_w.sum(axis=0) / watts, power.error_w / watts
+
+    @cached_property
+    def _watts(self) -> Array:
+        """Power per unit of light, (n_detectors, n_cells)."""
+        return self.chain.watts_of(self.rendered)
+
+    @property
+    def _is_timed(self) -> bool:
+        return self.chain.system.time_of_flight is not None
 
 
 def _not_shown(patterns: PatternSet, cells: Array) -> Array:

@@ -37,11 +37,12 @@ class RenderedLight(Described):
 
     ``sun``: irradiance on the pupil per irradiance of the sun, by part of the detector's field,
     (rows, columns); each detector of a line sensor is a column. ``truth`` is on the grid of the
-    virtual image. ``paths``: with their lengths, for time of flight. ``backscatter``: the part of
-    light and paths that the air scattered back. ``emitter``, ``detector``: the devices rendered.
-    ``warnings``: uncertainties of the render, with their errors. ``decisions``: of a render to a
-    tolerance, which effects it holds, and why. ``sun_error``: standard error of each part of the
-    sun's light; ``sun_left_out``: bound of what the render left out of it.
+    virtual image. ``paths``: over surfaces, with their lengths, for time of flight.
+    ``backscatter``: the part of the light that the air scattered back. ``emitter``, ``detector``:
+    the devices rendered. ``warnings``: uncertainties of the render, with their errors.
+    ``decisions``: of a render to a tolerance, which effects it holds, and why. ``sun_error``:
+    standard error of each part of the sun's light; ``sun_left_out``: bound of what the render left
+    out of it.
     """
 
     light: DetectorLight

@@ -1,6 +1,7 @@
 """The shutters of each pattern: always open, the phases of a lock-in measurement, or gates."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ from twin.optics.time_of_flight import Response, gate, phase_shutter
 from twin.system import System, TimeOfFlight
 
 Array = NDArray[np.float64]
+#: Evenly spaced lengths between two, of which the largest response is looked for.
+_LENGTHS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,33 @@ def _gates(tof: TimeOfFlight) -> tuple[ShutterResponse, ...]:
         )
         for delay in tof.gate_delays_s.value
     )
+
+
+def most_collected(
+    shutters: Sequence[ShutterResponse], shortest_m: Array, longest_m: Array
+) -> Array:
+    """Largest share of the light of lengths from some to others, (n,), that shutters which weight
+    light by its path collect, all together, averaged over the time.
+    """
+    lengths_m = np.linspace(shortest_m, longest_m, _LENGTHS, axis=1)
+    # Of gates it is linear between where they see the end of an echo, or no longer its beginning.
+    kinks_s = [
+        one.recorded.gate_delay_s + width - pulse
+        for one in shutters
+        for width in (0.0, one.recorded.gate_width_s)
+        for pulse in (0.0, one.pulse_width_s)
+    ]
+    kinks_m = np.clip(constants.c * np.array(kinks_s), shortest_m[:, None], longest_m[:, None])
+    lengths_m = np.concatenate([lengths_m, kinks_m], axis=1)
+    collected = sum(weight(one)(lengths_m) for one in shutters)
+    return np.asarray(np.max(collected, axis=1, initial=0.0))
+
+
+def weight(shutter: ShutterResponse) -> Response:
+    """Share of the light that a shutter which weights light by its path collects, by length."""
+    response = shutter.response
+    assert response is not None  # only called with time of flight
+    return lambda length_m: shutter.light_share * response(length_m)
 
 
 def farthest_gate_m(system: System) -> float:

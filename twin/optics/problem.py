@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from twin.optics.devices import CellGrid, Device
 from twin.optics.interreflection import Body, indirect_bound
 from twin.optics.paths import DeviceLight, SunLight, TracingQuality
 from twin.optics.tracer import Tracer
-from twin.optics.unseen import facet_light
+from twin.optics.unseen import FacetsByLength, facet_light, facets_by_length
 from twin.optics.weather import Air
 
 Array = NDArray[np.float64]
@@ -84,17 +85,30 @@ class LightProblem:
         """Light that a facet which paths miss may bring to each cell of the emitter: see
         `twin.optics.unseen.facet_light`; through the air, and 0 without corners.
         """
-        grid = CellGrid(self.emitter, *shape)
+        corners, _ = self._corners_and_ways
+        return facet_light(CellGrid(self.emitter, *shape), self.detector, corners, columns)
+
+    def facets_by_length(self, shape: tuple[int, int]) -> FacetsByLength:
+        """The same in parts, by the lengths of the ways over the facets."""
+        return facets_by_length(
+            CellGrid(self.emitter, *shape), self.detector, *self._corners_and_ways
+        )
+
+    @cached_property
+    def _corners_and_ways(self) -> tuple[tuple[Array, Array], Array]:
+        """The `corners`, of reflectances as they look through the air, and the length of the way
+        from emitter to detector over each, (n,).
+        """
         if self.corners is None:
-            return np.zeros((grid.rows, columns * grid.columns))
+            return (np.empty((0, 3)), np.empty(0)), np.empty(0)
         corners_m, reflectance = self.corners()
+        out_m, back_m = (
+            np.linalg.norm(corners_m - device.origin_m, axis=1)
+            for device in (self.emitter, self.detector)
+        )
         if self.air:
-            ways_m = sum(
-                np.linalg.norm(corners_m - device.origin_m, axis=1)
-                for device in (self.emitter, self.detector)
-            )
-            reflectance = reflectance * np.exp(-self.air.extinction_per_m * ways_m)
-        return facet_light(grid, self.detector, (corners_m, reflectance), columns)
+            reflectance = reflectance * np.exp(-self.air.extinction_per_m * (out_m + back_m))
+        return (corners_m, reflectance), out_m + back_m
 
     @property
     def sun(self) -> SunLight:

@@ -1,6 +1,7 @@
 """Light that paths may have missed: bounds of what is smaller than the space between them."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,12 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from twin.optics.devices import CellGrid, Device
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 #: Number of paths that would meet what all of them miss in 5 of 100 cases.
 _MISSED = 3.0
+#: Parts of the facets by the lengths of the ways over them.
+_LENGTHS = 64
 
 
 def facet_light(
@@ -24,22 +28,72 @@ def facet_light(
     ``corners``: positions (n, 3) and reflectances (n,) of the meshes' vertices. ``columns`` of the
     detector, if it is a line sensor: the cells that each sees, side by side.
     """
-    emitter, shape = grid.device, (grid.rows, columns * grid.columns)
-    if emitter.pitch_m is not None:
+    shape = (grid.rows, columns * grid.columns)
+    if grid.device.pitch_m is not None:
         return np.full(shape, _of_elements(grid, detector, corners))
+    _, places, facing = _facing(grid, detector, corners, columns)
+    return _brightest(shape, places, facing)
+
+
+@dataclass(frozen=True, eq=False)
+class FacetsByLength:
+    """`facet_light` in parts, (n, rows, columns), of the corners over which the way from emitter to
+    detector is from ``shortest_m`` to ``longest_m``, (n,).
+    """
+
+    light: Array
+    shortest_m: Array
+    longest_m: Array
+
+
+def facets_by_length(
+    grid: CellGrid, detector: Device, corners: tuple[Array, Array], length_m: Array
+) -> FacetsByLength:
+    """Parts of about as many corners; ``length_m`` of the way over each corner, (n,)."""
+    if grid.device.pitch_m is not None:
+        light = facet_light(grid, detector, corners)
+        shortest_m = min(length_m.min(initial=np.inf), length_m.max(initial=0.0))
+        return FacetsByLength(
+            light[None], np.array([shortest_m]), np.array([length_m.max(initial=0.0)])
+        )
+    which, places, facing = _facing(grid, detector, corners)
+    length_m = length_m[which]
+    order = np.argsort(length_m, kind="stable")
+    parts = np.array_split(order, min(_LENGTHS, len(order))) if len(order) else []
+    number = np.empty_like(order)
+    number[order] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    light = _brightest((len(parts), grid.rows, grid.columns), np.stack([number, *places]), facing)
+    shortest_m, longest_m = (np.array([length_m[part[end]] for part in parts]) for end in (0, -1))
+    return FacetsByLength(light, shortest_m, longest_m)
+
+
+def _facing(
+    grid: CellGrid, detector: Device, corners: tuple[Array, Array], columns: int = 1
+) -> tuple[Ints, Ints, Array]:
+    """Numbers of the corners in the field, (n,), row and column of each, (2, n), and the light of a
+    facet there that fills a cell, (n,).
+    """
     vertices_m, reflectance = corners
-    across, down = _places(emitter, vertices_m)
+    across, down = _places(grid.device, vertices_m)
     column, row = np.floor(across * grid.columns), np.floor(down * grid.rows)
     if columns > 1:
         column += grid.columns * np.floor(_places(detector, vertices_m)[0] * columns)
     inside = np.flatnonzero(np.isfinite(column + row))
     distance2 = _squared_norms(vertices_m[inside] - detector.origin_m)
-    solid_angle = (2 * emitter.tan_half_field) ** 2 / grid.size / columns
+    solid_angle = (2 * grid.device.tan_half_field) ** 2 / grid.size / columns
     facing = solid_angle * reflectance[inside] / np.pi / np.maximum(distance2, 1e-12)
-    light, places = np.zeros(shape), np.stack([row[inside], column[inside]]).astype(int)
     # Rounding may bring what is just within the field to its end.
-    np.maximum.at(light, tuple(np.minimum(places, np.array(shape)[:, None] - 1)), facing)
-    return np.asarray(maximum_filter(light, 3, mode="constant"))
+    last = np.array([[grid.rows - 1], [columns * grid.columns - 1]])
+    return inside, np.minimum(np.stack([row, column])[:, inside].astype(int), last), facing
+
+
+def _brightest(shape: tuple[int, ...], places: Ints, light: Array) -> Array:
+    """Of light at places (k, n) the brightest in each cell and the cells around it, (.., rows,
+    columns).
+    """
+    brightest = np.zeros(shape)
+    np.maximum.at(brightest, tuple(places), light)
+    return np.asarray(maximum_filter(brightest, 3, axes=(-2, -1), mode="constant"))
 
 
 def _places(device: Device, points_m: Array) -> Array:

@@ -58,8 +58,9 @@ def light_errors(
 
 def with_light(light: RenderedLight, cells: Array, sun: Array) -> RenderedLight:
     """The same with other light in the cells and of the sun, neither below 0, on the same paths."""
-    cells, before = np.maximum(cells, 0), light.light.cells
-    factor = np.divide(cells, before, out=np.ones_like(cells), where=before > 0)
+    air = 0.0 if light.backscatter is None else light.backscatter.light
+    cells, before = np.maximum(cells, air), light.light.cells - air
+    factor = np.divide(cells - air, before, out=np.ones_like(cells), where=before > 0)
     paths = light.paths and replace(
         light.paths, value=(light.paths.value * factor.reshape(-1, 1)).astype(np.float32)
     )

@@ -54,7 +54,8 @@ class _Shared:
             return self.rendered
         chain = Chain.of(made.system, made.scene.sun)
         permitted = PermittedError(chain, self.rendered, made.fidelity)
-        more = tolerance_warnings(over, permitted, self.rendered.light.cells)
+        cells, _ = permitted.collected(self.rendered.light)
+        more = tolerance_warnings(over, permitted, cells)
         warnings = (*self.rendered.warnings, *more)
         return replace(self.rendered, warnings=tuple(dict.fromkeys(warnings)))
 
@@ -243,6 +244,4 @@ def _wall(made: Setup) -> RenderedLight:
 
 def _over(rendered: RenderedLight, chain: Chain, fidelity: Fidelity) -> float:
     """Error of the light over the permitted one, root mean square over the cells."""
-    light = rendered.light
-    permitted = np.maximum(PermittedError(chain, rendered, fidelity).of(light.cells), 1e-150)
-    return float(np.sqrt(np.mean((light.error / permitted) ** 2)))
+    return PermittedError(chain, rendered, fidelity).over(rendered.light)
