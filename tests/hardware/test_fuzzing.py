@@ -14,7 +14,9 @@ import hardware
 pytestmark = pytest.mark.library("atheris")
 
 _HERE = Path(__file__).parent
-_LIMITS = ("-max_total_time=60", "-timeout=10", "-rss_limit_mb=2048", "-max_len=8192", "-seed=1")
+#: Not of the memory at most, which a process has from the one that started it.
+_MEMORY = ("-rss_limit_mb=0", "-malloc_limit_mb=2048")
+_LIMITS = ("-max_total_time=60", "-timeout=10", *_MEMORY, "-max_len=8192", "-seed=1")
 #: A machine that does less in a minute tests next to nothing.
 _LEAST = 10_000
 

@@ -215,9 +215,13 @@ def test_time_of_flight_sees_backscatter_before_the_wall(foggy) -> None:
     fog, clear = rendered["fog"], rendered["clear"]
     assert fog.paths is not None
     assert clear.paths is not None
-    plain, kept = fog.light.cells.sum(), fog.paths.light().sum()
+    assert fog.backscatter is not None
+    assert fog.backscatter.paths is not None
+    veil = fog.backscatter.paths
+    plain, kept = fog.light.cells.sum(), fog.paths.light().sum() + veil.light().sum()
     assert kept == pytest.approx(plain, rel=0.02)
-    phase = {k: -np.angle(r.paths.phasor(1e6)) for k, r in rendered.items() if r.paths}
+    phasors = {"clear": clear.paths.phasor(1e6), "fog": fog.paths.phasor(1e6) + veil.phasor(1e6)}
+    phase = {name: -np.angle(phasor) for name, phasor in phasors.items()}
     far = (clear.truth.depth_m > 8) & np.isfinite(clear.truth.depth_m) & (clear.paths.light() > 0)
     assert far.any()
     assert (phase["fog"][far] < phase["clear"][far]).all()

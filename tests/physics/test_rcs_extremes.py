@@ -349,6 +349,7 @@ MILLION = """
 import resource
 import numpy as np
 import trimesh
+from twin.geometry import Geometry
 from twin.radar.cross_section import sweep
 from twin.radar.scattering import Target
 ball = trimesh.creation.icosphere(8, radius=0.15)

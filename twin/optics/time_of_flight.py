@@ -138,18 +138,18 @@ def gate(pulse_width_s: float, delay_s: float, width_s: float, pulse_rate_hz: fl
 
     def response(length_m: Array) -> Array:
         delay = length_m / constants.c
-        latest = float(delay.max(initial=0.0))
+        latest = float(np.max(delay, initial=0.0))
         if latest >= period_s:
             delay, latest = delay % period_s, period_s
         share = seen(delay)
         if latest + pulse_width_s - period_s > delay_s:
             # The end of an echo that begins before the next pulse may come back after it.
-            share += seen(delay - period_s)
+            share = share + seen(delay - period_s)
         return share
 
     def seen(delay: Array) -> Array:
         first = np.maximum(delay, delay_s)
         last = np.minimum(delay + pulse_width_s, delay_s + width_s)
-        return np.maximum(last - first, 0, out=first) / pulse_width_s
+        return np.maximum(last - first, 0) / pulse_width_s
 
     return response

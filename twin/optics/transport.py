@@ -103,7 +103,24 @@ def _moments(tracer: Tracer, samples: int, trace: Callable[[Rays], Any]) -> tupl
         for block in tracer.blocks(samples)
     ]
     mean, scatter = (np.concatenate(parts).reshape(shape) for parts in zip(*moments, strict=True))
-    return mean, scatter
+    return mean, scatter if samples > 1 else _scatter_of_cells(mean)
+
+
+def _scatter_of_cells(light: Array) -> Array:
+    """Scatter of paths of which each cell, (rows, columns), has one: half the mean squared
+    difference from those of the cells beside it; of a single cell its square.
+    """
+    if light.size == 1:
+        return light**2
+    squares, count = np.zeros((2, *light.shape))
+    for axis in (0, 1):
+        difference = np.square(np.diff(light, axis=axis))
+        for end in ((1, 0), (0, 1)):
+            pad = [(0, 0), (0, 0)]
+            pad[axis] = end
+            squares += np.pad(difference, pad)
+            count += np.pad(np.ones_like(difference), pad)
+    return squares / count / 2
 
 
 def variance_of_direct(mean: Array, scatter: Array, samples: float) -> Array:
@@ -117,11 +134,13 @@ def variance_of_mean(scatter: Array, samples: float) -> Array:
     A cell whose paths all miss an edge or a rare bright bounce has too small a variance of its own,
     but paths of cells around hit them: their mean variance, of a Gaussian window, stands for that
     of 12 / n further paths of each cell, so that it matters where paths are few, and nowhere from
-    some hundred on. The sum over an image is kept.
+    some hundred on. The sum over an image is kept. A single path keeps all of its own scatter,
+    which is by cells around: an image's brightest cells are those with a path that is too bright.
     """
     around = gaussian_filter(scatter, _WINDOW_CELLS, mode="nearest")
     further = _NEIGHBOURS / samples
-    return np.asarray((samples * scatter + further * around) / (samples + further) / samples)
+    pooled = (samples * scatter + further * around) / (samples + further) / samples
+    return np.asarray(pooled if samples > 1 else np.maximum(pooled, scatter))
 
 
 def path_moments(value: Any, samples: int, wide: int) -> tuple[Array, Array]:

@@ -252,9 +252,13 @@ def _result(submit: Submit, study: Study, inputs: Inputs, points: Points, handle
     except WorkerDiedError as error:
         if len(points) == 1:
             return failed(study, int(points[0]), in_one_line(error))
-        one_each = np.split(points, len(points))
-        each = [(one, submit(evaluate_points, study, one, inputs)) for one in one_each]
-        return joined([_result(submit, study, inputs, *alone) for alone in each])
+        # One after another: with a worker goes what others of its results nobody had fetched yet.
+        return joined(
+            [
+                _result(submit, study, inputs, one, submit(evaluate_points, study, one, inputs))
+                for one in np.split(points, len(points))
+            ]
+        )
     return found
 
 

@@ -56,7 +56,10 @@ def dispersion_errors(
         paths_to_points(c, 0, points, np.zeros_like(points), unshadowed=True).level
         for c in (context, replace(context, walls=walls))
     )
-    power = 2 * np.log(level / above) / np.log(1 + half / carrier)
+    # Walls through which nothing comes at all let nothing change.
+    nothing = np.finfo(np.float64).tiny
+    lost = np.maximum(level, nothing) / np.maximum(above, nothing)
+    power = 2 * np.log(lost) / np.log(1 + half / carrier)
     ratio = 1 + np.linspace(-half, half, _FREQUENCIES) / carrier
     change = np.abs(ratio ** -power[:, None] - 1)
     of_points = np.sqrt((change**2).mean(axis=1))
