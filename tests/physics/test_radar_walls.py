@@ -264,3 +264,15 @@ def test_what_an_absorbing_pane_errs_by_over_the_band_is_stated(
     assert 0.07 < truth < 0.1
     assert truth < behind.estimated_error < truth + 0.03
     assert free.estimated_error < 0.03
+
+
+def test_a_body_partly_behind_what_lets_nothing_through_has_a_finite_error() -> None:
+    """Two plates of one object, before 20 m of concrete and behind it, where no light's level is
+    more than 0.
+    """
+    pane = replace(plate("pane", (6, 0, 0), 4.0, "concrete"), thickness_m=20.0)
+    corners = [[x, y, z] for x in (4.0, 40.0) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
+    faces = [(0, 2, 1), (1, 2, 3), (4, 6, 5), (5, 6, 7)]
+    found = trace(world(pane, thing("both", corners, faces)), RADAR, fidelity=OPTICS)
+    (error,) = (body.estimated_error for body in found.bodies if "both" in body.name)
+    assert 0 < error < 0.3

@@ -349,12 +349,11 @@ MILLION = """
 import resource
 import numpy as np
 import trimesh
-from twin.geometry import Geometry
+from tests.physics.rcs_targets import as_target
 from twin.radar.cross_section import sweep
-from twin.radar.scattering import Target
 ball = trimesh.creation.icosphere(8, radius=0.15)
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-target = Target(Geometry(np.array(ball.vertices), np.array(ball.faces)))
+target = as_target(ball)
 found = sweep(target, 79e9, [0.0, 90.0], edges=True)
 print(len(ball.faces), start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 print(*found.cross_section_m2 / (np.pi * 0.15**2))
